@@ -15,9 +15,8 @@ from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle, fleet_text, parse_fleet, read_fleet_file, spawn_grid
 from xtdrone_coordination.array_follower import ArrayFollower
 from xtdrone_coordination.follower import Follower, FollowerOptions
-from xtdrone_coordination.laws.assignment import Assignment, assign
 from xtdrone_coordination.laws.consensus import Peer
-from xtdrone_coordination.leader import Leader, LeaderOptions
+from xtdrone_coordination.leader import Assignment, Leader, LeaderOptions, assign
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_sim.simulation import Simulation
 from xtdrone_swarm.swarm import Swarm

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from client_world import CLIENT_LIMIT, Core
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_interaction.gcs import GroundStation, Peer

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_planning.planner_settings import PlannerSettings
 from xtdrone_planning.replanning.planner import acceleration_setpoint

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.effects import Effect
 from xtdrone_sim.simulation import Simulation

@@ -23,7 +23,7 @@ from validation.soak.simulation_under_test import SoakError, Stack
 from validation.soak.soak_runner import Runner
 from validation.soak.soak_script import Episode
 from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_control.lockstep.simulation_speed import speed_setting
+from xtdrone_control.programs.node_command_line import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError, seed_setting, vehicles_setting

@@ -23,8 +23,8 @@ import rospy
 from xtdrone_control import lockstep
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.communication.multirotor import RATE, MultirotorCommunication
-from xtdrone_control.programs.fleet_parameter import FLEET_PARAMETER, wait_for_fleet
 from xtdrone_control.programs.node_command_line import Served, parse_ids, run_program, served_vehicles
+from xtdrone_control.programs.plain_node import FLEET_PARAMETER, wait_for_fleet
 
 WAIT = "--wait"
 USAGE = """multirotor_communication.py TYPE ID [--wait]

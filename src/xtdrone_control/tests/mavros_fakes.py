@@ -11,9 +11,8 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavros.lib.plugin_settings import Params
-from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.link.autopilot_links import AutopilotLink, FcuUrl
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 
 class FakePublisher:
@@ -97,7 +96,7 @@ class Bench:
         """Open both sockets and make the plugins."""
         self.fcu = udp_socket()
         port = free_udp_port()
-        self.link = Link("iris_0", FcuUrl("127.0.0.1", port, "127.0.0.1", self.fcu.getsockname()[1]))
+        self.link = AutopilotLink("iris_0", FcuUrl("127.0.0.1", port, "127.0.0.1", self.fcu.getsockname()[1]))
         self.ros = FakeRos(**ros)
         self.uas = Uas("iris_0", "/iris_0/mavros", self.link, Params(params or {}), self.ros, plugins)
         self._packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)

@@ -10,7 +10,7 @@ from mavros_fakes import Bench
 from service_fakes import Served
 
 from xtdrone_control.autopilot.parameters.parameters import Parameters
-from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.uas import Plugin
 
 _WALL_LIMIT = 120.0  # s; only a broken run takes so long
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from autopilot_fakes import ORIGIN, Flight
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.geodesy import projection

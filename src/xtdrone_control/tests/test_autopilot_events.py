@@ -7,7 +7,7 @@ import struct
 import pytest
 from autopilot_fakes import Flight
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.events import event, event_id

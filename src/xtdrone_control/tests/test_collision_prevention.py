@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import LaserScan
 from service_fakes import SYSTEM, Served
 
+from xtdrone_control import modes
 from xtdrone_control import rotation_kernels as rotation
-from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.flight_tasks.collision_prevention import prevent_collision, start_prevention
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import ESTIMATOR, OBSTACLE_UNKNOWN, OBSTACLES

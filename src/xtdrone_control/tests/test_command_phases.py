@@ -19,7 +19,8 @@ import pytest
 from autopilot_fakes import ORIGIN
 from service_fakes import Served
 
-from xtdrone_control.autopilot import c_casts, modes
+from xtdrone_control import modes
+from xtdrone_control.autopilot import c_casts
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.autopilot.parameters.parameters import Parameters

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from autopilot_fakes import ORIGIN, Flight
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.commander.failsafe import Action
 from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 
 from xtdrone_control.communication import multirotor
-from xtdrone_control.communication.commands import Request
+from xtdrone_control.communication.commands import CommandRequest
 
 
 def test_time_may_flow_while_an_answer_is_waited_for_in_a_turn(monkeypatch):
@@ -28,7 +28,7 @@ def test_time_may_flow_while_an_answer_is_waited_for_in_a_turn(monkeypatch):
     monkeypatch.setattr(multirotor.lockstep, "needs_time", needs_time)
     monkeypatch.setattr(multirotor.rospy, "ServiceProxy", proxy)
     services = multirotor.MavrosServices("iris_0", in_lockstep=True)
-    services.submit(Request("ARM", True))
+    services.submit(CommandRequest("ARM", True))
     assert seen == ["begin", "/iris_0/mavros/cmd/arming", "end"]
     [(_, accepted, reason)] = services.finished()
     assert (accepted, reason) == (False, "MAV_RESULT 0")

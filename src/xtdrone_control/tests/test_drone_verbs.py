@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from xtdrone_control.communication.commands import MultirotorCore, Request
+from xtdrone_control.communication.commands import CommandRequest, MultirotorCore
 from xtdrone_control.drone.drones import Drone, DroneGroup
 from xtdrone_control.drone.verbs import BRAKE_LIMIT, DroneError, FaultError, RejectedError, TimedOutError, Verbs
 
@@ -34,7 +34,7 @@ class Autopilot:
         self.deaf = False
         self.receives_setpoints = True
         self.requests: list[str] = []
-        self._waiting: list[Request] = []
+        self._waiting: list[CommandRequest] = []
         self._texts: list[str] = []
         self.core = MultirotorCore(name, Silent(), hover_speed=0.0)
         self.verbs = Verbs(name, self.core, self._waiting.append, lambda: self.time)
@@ -71,7 +71,7 @@ class Autopilot:
             self.armed = self.armed and self.position[2] > 0.0
         self.report()
 
-    def _obey(self, request: Request) -> None:
+    def _obey(self, request: CommandRequest) -> None:
         if request.arm is None:
             self.mode = request.command
         else:

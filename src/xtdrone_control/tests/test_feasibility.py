@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from mission_fakes import MissionFlight, at, do
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.navigator import plan
 

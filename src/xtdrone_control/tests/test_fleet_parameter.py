@@ -8,7 +8,7 @@ pytest.importorskip("rospy")
 
 import rospy
 
-from xtdrone_control.programs import fleet_parameter
+from xtdrone_control.programs import plain_node
 from xtdrone_control.programs.node_command_line import ArgumentError
 
 JOINED = '[{"name": "iris_0", "id": 0}, {"name": "iris_3", "id": 3}]'
@@ -28,12 +28,12 @@ def test_waits_until_the_vehicle_is_listed(
 ) -> None:
     left = list(values)
     monkeypatch.setattr(rospy, "get_param", lambda name, default: left[0])
-    monkeypatch.setattr(fleet_parameter.time, "sleep", lambda seconds: left.pop(0))
-    assert fleet_parameter.wait_for_fleet(vehicle) == values[-1]
+    monkeypatch.setattr(plain_node.time, "sleep", lambda seconds: left.pop(0))
+    assert plain_node.wait_for_fleet(vehicle) == values[-1]
     assert len(values) - len(left) == polls
 
 
 def test_a_malformed_fleet_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rospy, "get_param", lambda name, default: "Iris 3")
     with pytest.raises(ArgumentError, match="/xtdrone/fleet"):
-        fleet_parameter.wait_for_fleet("iris_1")
+        plain_node.wait_for_fleet("iris_1")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import Served
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.flight_tasks.follow_target import TargetEstimate
 from xtdrone_control.autopilot.flight_tasks.tasks.follow_task import follow_task, start_following

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.logger.message_definitions import message_format
 from xtdrone_control.autopilot.logger.topics_on_change import control_flags
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_RATES

@@ -9,7 +9,7 @@ from autopilot_fakes import Flight
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.manual_control import CENTRED, ManualControl, Sticks, channel_count, mode_slot
 from xtdrone_control.autopilot.commander.offboard_setpoint import SetpointError
 from xtdrone_control.autopilot.parameters.parameters import Parameters

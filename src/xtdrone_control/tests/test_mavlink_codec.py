@@ -10,14 +10,20 @@ import pytest
 from mavros_fakes import free_udp_port, udp_socket
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.modes import PX4_MODES
+from xtdrone_control import modes
 from xtdrone_control.mavlink.wire import codec
-from xtdrone_control.mavros.lib import px4_modes
 from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
 from xtdrone_control.mavros.link import autopilot_links
-from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
-from xtdrone_control.mavros.link.command_acks import Commands
-from xtdrone_control.mavros.link.stream_requests import DEFAULT_RATE_US, OFF_US, Streams
+from xtdrone_control.mavros.link.autopilot_links import (
+    AutopilotLink,
+    AutopilotLinkError,
+    AutopilotReceiver,
+    FcuUrl,
+    parse_fcu_url,
+)
+from xtdrone_control.mavros.link.command_acks import AwaitedCommands
+from xtdrone_control.mavros.link.stream_requests import DEFAULT_RATE_US, OFF_US, StreamRequests
+from xtdrone_control.modes import PX4_MODES
 
 HANDLED = [
     "ALTITUDE",
@@ -156,28 +162,28 @@ def test_random_bytes_end_in_a_frame_error_or_in_frames():
     [("MANUAL", 0x00010000), ("OFFBOARD", 0x00060000), ("AUTO.TAKEOFF", 0x02040000), ("AUTO.LAND", 0x06040000)],
 )
 def test_mode_numbers_are_px4s(name, number):
-    assert px4_modes.mode_number(name) == number
-    assert px4_modes.mode_name(81, number) == name
+    assert modes.mode_number(name) == number
+    assert modes.mode_name(81, number) == name
 
 
 def test_every_mode_round_trips_by_name():
     for name in PX4_MODES:
-        assert px4_modes.mode_name(1, px4_modes.mode_number(name)) == name
+        assert modes.mode_name(1, modes.mode_number(name)) == name
 
 
 def test_plain_numbers_are_modes():
-    assert px4_modes.mode_number("393216") == px4_modes.mode_number("OFFBOARD")
+    assert modes.mode_number("393216") == modes.mode_number("OFFBOARD")
 
 
 @pytest.mark.parametrize("name", ["", "OFFBORD", "auto.land", "-1", "4294967296"])
 def test_unknown_mode_lists_what_is_allowed(name):
-    with pytest.raises(px4_modes.ModeError, match=r"AUTO\.LAND.*OFFBOARD"):
-        px4_modes.mode_number(name)
+    with pytest.raises(modes.ModeError, match=r"AUTO\.LAND.*OFFBOARD"):
+        modes.mode_number(name)
 
 
 def test_modes_without_a_name():
-    assert px4_modes.mode_name(0x51, 99 << 16) == f"CMODE({99 << 16})"
-    assert px4_modes.mode_name(0xC0, 0) == "MODE(0xC0)"
+    assert modes.mode_name(0x51, 99 << 16) == f"CMODE({99 << 16})"
+    assert modes.mode_name(0xC0, 0) == "MODE(0xC0)"
 
 
 @pytest.mark.parametrize(
@@ -194,7 +200,7 @@ def test_fcu_url(url, parts):
 
 @pytest.mark.parametrize("url", ["", "serial:///dev/ttyACM0:57600", "udp://:70000@localhost:1", "udp://:0@h:1"])
 def test_invalid_fcu_url_is_reported(url):
-    with pytest.raises(LinkError, match="fcu_url"):
+    with pytest.raises(AutopilotLinkError, match="fcu_url"):
         parse_fcu_url(url)
 
 
@@ -216,7 +222,7 @@ class TestStreams:
 
     def setup_method(self):
         self.asked = []
-        self.streams = Streams(lambda number, interval: self.asked.append((number, interval)), {"VFR_HUD": 4.0})
+        self.streams = StreamRequests(lambda number, interval: self.asked.append((number, interval)), {"VFR_HUD": 4.0})
 
     def test_requests_each_wanted_stream_once(self):
         self.streams.update({32, 74}, set())
@@ -247,7 +253,7 @@ class TestStreams:
     @pytest.mark.parametrize("rates", [{"NO_SUCH": 1.0}, {"VFR_HUD": 0.0}, {"VFR_HUD": float("nan")}])
     def test_invalid_rates_are_reported(self, rates):
         with pytest.raises(ValueError, match="stream_rates"):
-            Streams(lambda *_: None, rates)
+            StreamRequests(lambda *_: None, rates)
 
 
 class TestCommands:
@@ -255,7 +261,7 @@ class TestCommands:
 
     def setup_method(self):
         self.sent = []
-        self.commands = Commands(self._send)
+        self.commands = AwaitedCommands(self._send)
         self.results = []
         self._packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 
@@ -296,7 +302,7 @@ class TestCommands:
             yield
             course.append("waits no more")
 
-        commands = Commands(lambda message: course.append("sends"), meanwhile)
+        commands = AwaitedCommands(lambda message: course.append("sends"), meanwhile)
         assert commands.call(400, lambda attempt: attempt, limit=0.02, resends=1) is None
         assert course == ["sends", "waits", "waits no more"] * 2
 
@@ -317,14 +323,14 @@ class TestLink:
     def test_occupied_port_is_reported_with_its_vehicle(self):
         taken = udp_socket()
         port = taken.getsockname()[1]
-        with pytest.raises(LinkError, match=f"iris_3: UDP port {port} "):
-            Link("iris_3", FcuUrl("127.0.0.1", port, "127.0.0.1", 9))
+        with pytest.raises(AutopilotLinkError, match=f"iris_3: UDP port {port} "):
+            AutopilotLink("iris_3", FcuUrl("127.0.0.1", port, "127.0.0.1", 9))
         taken.close()
 
     def test_receiver_waits_for_counted_datagrams_and_reports_the_lost(self):
-        link = Link("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
+        link = AutopilotLink("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
         link.wanted = frozenset({32})
-        receiver = Receiver([link])
+        receiver = AutopilotReceiver([link])
         receiver.start()
         fcu = udp_socket()
         packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -341,8 +347,8 @@ class TestLink:
 
     def test_receiver_thread_reads_at_once_while_an_answer_is_awaited(self, monkeypatch):
         monkeypatch.setattr(autopilot_links, "_GLANCE_PERIOD", 1000.0)
-        link = Link("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
-        receiver = Receiver([link])
+        link = AutopilotLink("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
+        receiver = AutopilotReceiver([link])
         receiver.start()
         fcu = udp_socket()
         packet = bytes(LOCAL_POSITION.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1)))
@@ -362,9 +368,9 @@ class TestLink:
             fcu.close()
 
     def test_messages_before_the_first_count_belong_to_the_first_turn(self):
-        link = Link("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
+        link = AutopilotLink("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
         link.wanted = frozenset({32})
-        receiver = Receiver([link])  # its thread is not started, as if it were late
+        receiver = AutopilotReceiver([link])  # its thread is not started, as if it were late
         fcu = udp_socket()
         packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 

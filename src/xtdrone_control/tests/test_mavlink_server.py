@@ -13,7 +13,7 @@ import pytest
 from autopilot_fakes import FIRST_ID, ORIGIN, FakeAutopilot
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.parameters.parameters import NAMES, Parameters
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY

@@ -33,19 +33,19 @@ class TestBindHost:
 
     def test_a_host_name_without_an_address_is_reported(self):
         with pytest.raises(
-            autopilot_links.LinkError, match=r"fcu_host: 'nowhere' has no IPv4 address: Name or service"
+            autopilot_links.AutopilotLinkError, match=r"fcu_host: 'nowhere' has no IPv4 address: Name or service"
         ):
             bind_host_for("nowhere")
 
     def test_an_unreachable_host_is_reported_with_its_address(self):
         # A plain socket must not broadcast; this address stands for every unreachable one.
         with pytest.raises(
-            autopilot_links.LinkError, match=r"fcu_host: 'elsewhere' \(255\.255\.255\.255\) cannot be reached"
+            autopilot_links.AutopilotLinkError, match=r"fcu_host: 'elsewhere' \(255\.255\.255\.255\) cannot be reached"
         ):
             bind_host_for("elsewhere")
 
     def test_an_address_of_another_machine_cannot_be_bound(self):
-        with pytest.raises(autopilot_links.LinkError, match=r"bind_host: '192\.0\.2\.1' cannot be bound"):
+        with pytest.raises(autopilot_links.AutopilotLinkError, match=r"bind_host: '192\.0\.2\.1' cannot be bound"):
             bind_host_for("127.0.0.1", "192.0.2.1")
 
 
@@ -74,7 +74,9 @@ def test_the_fleets_links_may_have_ports_of_their_own():
 
 
 def test_a_fleet_has_no_ports_beyond_the_highest():
-    with pytest.raises(autopilot_links.LinkError, match="fleet_url: vehicle 1 would get port 65536, at most 65535"):
+    with pytest.raises(
+        autopilot_links.AutopilotLinkError, match="fleet_url: vehicle 1 would get port 65536, at most 65535"
+    ):
         connections({"fleet_url": "udp://:65535@:14580"}, "iris:2", "/mavros")
 
 

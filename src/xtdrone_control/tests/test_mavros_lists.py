@@ -6,12 +6,10 @@ import pytest
 from mavros_fakes import Bench
 
 from xtdrone_control.fleet import FleetError
-from xtdrone_control.mavros.left_out import LeftOut
-from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
+from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params, PluginLists
 from xtdrone_control.mavros.mavros_node import connections
-from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
-from xtdrone_control.mavros.unsubscribed_topics import Watch
+from xtdrone_control.mavros.unsubscribed_topics import GraphWatch, LeftOut
 
 NAMES = ["sys_status", "sys_time", "setpoint_raw", "setpoint_velocity", "imu"]
 
@@ -63,7 +61,7 @@ class TestWatch:
     def watch(self, publishers, subscribers=None):
         left_out = {"setpoint_accel/accel": LeftOut("not yet", "setpoint_raw/local")}
         state = publishers, self.SUBSCRIBERS | (subscribers or {})
-        return Watch(self.OWN, ["/iris_0/mavros", "/iris_1/mavros"], left_out, lambda: state, ["iris_0", "iris_1"])
+        return GraphWatch(self.OWN, ["/iris_0/mavros", "/iris_1/mavros"], left_out, lambda: state, ["iris_0", "iris_1"])
 
     def test_a_skipped_topic_is_reported_once(self, caplog):
         watch = self.watch({"/iris_1/mavros/setpoint_accel/accel": ["/leader"]})

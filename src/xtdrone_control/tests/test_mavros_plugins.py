@@ -24,8 +24,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import NavSatFix, NavSatStatus
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.lib.log_throttle import Throttle
 from xtdrone_control.mavros.lib.plugin_settings import ParamError
+from xtdrone_control.mavros.link.autopilot_links import Throttle
 from xtdrone_control.mavros.link.raw_frames import fill
 from xtdrone_control.mavros.plugins import PLUGINS
 
@@ -776,7 +776,7 @@ class TestDemand:
         bench.uas.set_connected(False)
         bench.send(HEARTBEAT, HIGHRES)
         assert asked() == [], "the autopilot keeps its rates while a link is lost"
-        bench.uas.rebooted()
+        bench.uas.on_reboot()
         bench.take("imu/data_raw")
         assert asked() == [0.0]
 

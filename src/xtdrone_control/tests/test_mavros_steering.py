@@ -21,14 +21,7 @@ from geometry_msgs.msg import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavros_fakes import Bench
-from mavros_msgs.msg import (
-    ActuatorControl,
-    GlobalPositionTarget,
-    ManualControl,
-    OverrideRCIn,
-    Thrust,
-    Trajectory,
-)
+from mavros_msgs.msg import ActuatorControl, GlobalPositionTarget, ManualControl, OverrideRCIn, Thrust, Trajectory
 from mavros_msgs.srv import SetMavFrameRequest
 from nav_msgs.msg import Path
 from pymavlink.dialects.v20 import common as mavlink

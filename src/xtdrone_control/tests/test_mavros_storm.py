@@ -28,7 +28,7 @@ from mavros_msgs.srv import (
 )
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.lib.log_throttle import Throttle
+from xtdrone_control.mavros.link.autopilot_links import Throttle
 from xtdrone_control.mavros.link.ros_values_to_mavlink import FLOAT32_MAX
 from xtdrone_control.mavros.plugins import PLUGINS
 from xtdrone_control.mavros.plugins.ftp import FtpPlugin

@@ -14,10 +14,9 @@ import pytest
 import yaml
 from mavros_fakes import Bench
 
-from xtdrone_control.mavros.left_out import LEFT_OUT, explain
-from xtdrone_control.mavros.lib.plugin_settings import Params
-from xtdrone_control.mavros.plugin_lists import PluginLists
+from xtdrone_control.mavros.lib.plugin_settings import Params, PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
+from xtdrone_control.mavros.unsubscribed_topics import LEFT_OUT, explain
 
 _DATA = Path(__file__).parent / "data" / "mavros_surface.txt"
 _LISTS = Path(__file__).parents[1] / "mavros" / "launch" / "px4_pluginlists.yaml"
@@ -130,7 +129,7 @@ def test_every_feature_of_mavros_is_offered_or_listed_as_missing(offered):
 
 def test_offered_features_are_not_listed_as_omitted(offered):
     both = {(entry.direction, entry.name) for entry in offered} & set(left_out())
-    assert not both, "to be taken out of left_out.py"
+    assert not both, "to be taken out of LEFT_OUT"
 
 
 def test_omitted_features_belong_to_mavros():

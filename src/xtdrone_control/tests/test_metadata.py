@@ -14,7 +14,7 @@ from autopilot_fakes import Flight
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE, CODES, ENUM_TYPES, MAX_ARGUMENTS
 from xtdrone_control.autopilot.events.events import event, event_id

@@ -9,7 +9,7 @@ import math
 import pytest
 from mission_fakes import NAN, MissionFlight, at, do
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
 

@@ -8,7 +8,7 @@ from pymavlink import mavwp
 from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, heartbeat
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 

@@ -8,7 +8,7 @@ import pytest
 from autopilot_fakes import ORIGIN, Flight
 from mission_fakes import MissionFlight, at
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_IDLE, TASK_LAND

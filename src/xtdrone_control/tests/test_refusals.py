@@ -11,7 +11,7 @@ from mavros_fakes import Bench
 from mavros_msgs.srv import CommandBoolRequest
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.failsafe import Action, Cause
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.events import Event, event

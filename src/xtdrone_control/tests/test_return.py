@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from mission_fakes import NAN, MissionFlight, at, do
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.precision_landing import from_angles
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND

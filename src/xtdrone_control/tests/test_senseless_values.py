@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 from xtdrone_native.mavlink_wire import Outbox
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.commander.manual_control import ManualControl

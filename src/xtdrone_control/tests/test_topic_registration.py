@@ -38,6 +38,7 @@ try:
     from xtdrone_control.lockstep.transport import rospy_internals
     from xtdrone_control.lockstep.transport import subscriber as subscriber_end
     from xtdrone_control.lockstep.transport.topic_reader import Reader
+    from xtdrone_control.programs import plain_node
     from xtdrone_control.programs.plain_node import init_plain_node
 
     MasterHandler: Any = rosmaster.master_api.ROSMasterHandler
@@ -254,7 +255,7 @@ def test_every_publisher_that_the_master_names_is_connected_in_whatever_order_it
 def test_an_unknown_version_of_rospy_is_refused(monkeypatch) -> None:
     monkeypatch.setattr(registration.RegManager, "publisher_update", lambda self, name: None)
     with pytest.raises(ImportError, match="this version of rospy registers topics in an unknown way"):
-        rospy_internals._check_registration()
+        plain_node._check_registration()
 
 
 def test_no_connection_is_lost_while_answers_are_late_and_threads_compute(nodes) -> None:

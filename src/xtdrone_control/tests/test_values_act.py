@@ -17,14 +17,8 @@ import numpy as np
 import pytest
 from mission_fakes import NAN, MissionFlight, at
 
-from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander.failsafe import (
-    Failsafe,
-    Flags,
-    Situation,
-    mode_fallback,
-    triggered,
-)
+from xtdrone_control import modes
+from xtdrone_control.autopilot.commander.failsafe import Failsafe, Flags, Situation, mode_fallback, triggered
 from xtdrone_control.autopilot.commander.health_and_arming_checks.battery_estimate import BatteryEstimate
 from xtdrone_control.autopilot.commander.health_and_arming_checks.failure_detector import FailureDetector
 from xtdrone_control.autopilot.commander.manual_control import CENTRED, ManualControl, Sticks

@@ -9,19 +9,14 @@ import pytest
 from autopilot_fakes import FIRST_ID, Flight
 from mavros_fakes import FakeRos
 from mavros_msgs.msg import Waypoint
-from mavros_msgs.srv import (
-    WaypointClearRequest,
-    WaypointPullRequest,
-    WaypointPushRequest,
-    WaypointSetCurrentRequest,
-)
+from mavros_msgs.srv import WaypointClearRequest, WaypointPullRequest, WaypointPushRequest, WaypointSetCurrentRequest
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.mavros.lib.plugin_settings import Params
 from xtdrone_control.mavros.link import plan_transfers
-from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link, Receiver
+from xtdrone_control.mavros.link.autopilot_links import AutopilotLink, AutopilotReceiver, FcuUrl
 from xtdrone_control.mavros.plugins.waypoint import GeofencePlugin, RallypointPlugin, WaypointPlugin
 from xtdrone_control.mavros.uas import Uas
 
@@ -37,11 +32,11 @@ class Layer:
         vehicle = Vehicle("iris", 0, FIRST_ID)
         self.server = MavlinkServer([vehicle], self.flight.autopilot, [self.flight.commander])
         ends = FcuUrl("127.0.0.1", vehicle.offboard_remote_port, "127.0.0.1", vehicle.offboard_local_port)
-        self.link = Link("iris_0", ends, target=(_SYSTEM, 1))
+        self.link = AutopilotLink("iris_0", ends, target=(_SYSTEM, 1))
         self.ros = FakeRos()
         plugins = (WaypointPlugin, GeofencePlugin, RallypointPlugin)
         self.uas = Uas("iris_0", _PREFIX, self.link, Params({}), self.ros, plugins)
-        self.receiver = Receiver([self.link])
+        self.receiver = AutopilotReceiver([self.link])
         self.receiver.start()
         self.serving = True
         self.thread = threading.Thread(target=self._serve)

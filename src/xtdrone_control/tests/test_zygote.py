@@ -347,7 +347,7 @@ def test_a_malformed_request_is_rejected_without_leaving_descriptors_open(data, 
     with ours, theirs:
         socket.send_fds(theirs, [data or b"\0"], [0] * files)
         theirs.close()
-        with pytest.raises(zygote.RequestError):
+        with pytest.raises(zygote.NodeRequestError):
             zygote.receive(ours)
     assert os.listdir("/proc/self/fd") == before
 

@@ -16,7 +16,7 @@ from shapely.geometry import Polygon
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_coordination.search import actions as control
+from xtdrone_coordination.search import searching_vehicle as control
 from xtdrone_coordination.search.coverage_map import shows
 from xtdrone_coordination.search.mission_control import SearchMission
 from xtdrone_coordination.search.people.candidates import Sighting
@@ -233,7 +233,7 @@ class World:
             self.control.on_result(action, False, "no answer")
             return
         match action:
-            case control.SetMode(mode=mode):
+            case control.RequestMode(mode=mode):
                 if mode == "OFFBOARD" and body.no_offboard:
                     self.control.on_result(action, False, "no setpoints")
                     return

@@ -8,7 +8,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from xtdrone_coordination.laws.assignment import assign
+from xtdrone_coordination.leader import assign
 from xtdrone_coordination.patterns import Patterns
 
 

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xtdrone_control.programs.user_classes import load_class
 from xtdrone_coordination.array_follower import ArrayFollower, OwnRows, PeerRows
 from xtdrone_coordination.batch import FollowerBatch
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.known_swarm_state import ArraySwarm, SwarmState
 from xtdrone_coordination.laws.consensus import Peer, Vector
 from xtdrone_coordination.patterns import PatternError, Patterns
-from xtdrone_coordination.user_classes import load_class
 
 UNKNOWN = np.full(3, math.nan)
 

@@ -7,13 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_coordination.laws.consensus import (
-    Peer,
-    acceleration_law,
-    clip,
-    critical_damping,
-    velocity_law,
-)
+from xtdrone_coordination.laws.consensus import Peer, acceleration_law, clip, critical_damping, velocity_law
 from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.patterns import Patterns, with_leader
 

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from xtdrone_control.programs.user_classes import load_class
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.known_swarm_state import SwarmState
 from xtdrone_coordination.laws import formation_avoidance
-from xtdrone_coordination.laws.assignment import Assignment, assign
 from xtdrone_coordination.laws.consensus import Peer, Vector
-from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions, number_list
+from xtdrone_coordination.leader import Assignment, CommandError, Leader, LeaderOptions, assign, number_list
 from xtdrone_coordination.patterns import PatternError, least_separation, with_leader
-from xtdrone_coordination.user_classes import load_class
 
 DT = 1.0 / RATE
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -9,9 +9,9 @@ import pytest
 from test_formation import Swarm
 
 from xtdrone_control.programs.node_command_line import ArgumentError
+from xtdrone_control.programs.user_classes import load_class, nothing_overridden
 from xtdrone_coordination.follower import Follower, StarFollower
 from xtdrone_coordination.leader import Leader
-from xtdrone_coordination.user_classes import load_class, nothing_overridden
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "feed_forward_follower.py"
 

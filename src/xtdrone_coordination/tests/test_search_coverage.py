@@ -17,7 +17,7 @@ from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_coordination.search.planning.coverage_path import (
     PERSON,
     CoverageOptions,
-    Footprint,
+    ImageFootprint,
     cover,
     footprint,
     lane_outlines,
@@ -28,7 +28,7 @@ from xtdrone_coordination.search.planning.coverage_path import (
 
 CAMERA = Pinhole.of_view(640, 360, 2.0)
 SEEN = footprint(CAMERA, 12.0, -60.0)
-NARROW = Footprint(height=10.0, near=2.0, far=12.0, half_near=5.0, half_far=7.0)
+NARROW = ImageFootprint(height=10.0, near=2.0, far=12.0, half_near=5.0, half_far=7.0)
 OPTIONS = CoverageOptions()
 
 
@@ -82,7 +82,7 @@ def test_the_outlines_of_the_lanes_hold_what_is_seen_along_them(side: float) -> 
     assert shapely.union_all(outlines).buffer(1e-6).contains(piece)
 
 
-def _share_seen(piece: Polygon, seen: Footprint, options: CoverageOptions) -> float:
+def _share_seen(piece: Polygon, seen: ImageFootprint, options: CoverageOptions) -> float:
     return sweep(cover(piece, seen, options), seen, 1.0).intersection(piece).area / piece.area
 
 
@@ -96,7 +96,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("name", SHAPES)
 @pytest.mark.parametrize("seen", [SEEN, NARROW], ids=["wide", "narrow"])
-def test_everything_is_seen(name: str, seen: Footprint) -> None:
+def test_everything_is_seen(name: str, seen: ImageFootprint) -> None:
     assert _share_seen(SHAPES[name], seen, OPTIONS) > 0.9999
 
 

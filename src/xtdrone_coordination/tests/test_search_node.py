@@ -21,7 +21,7 @@ from search_world import REGION, World, person
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.programs.node_command_line import ArgumentError
-from xtdrone_coordination.search import actions as control
+from xtdrone_coordination.search import searching_vehicle as control
 from xtdrone_coordination.search.planning.region import region_data
 from xtdrone_coordination.search.search_settings import MissionSettings
 
@@ -67,7 +67,7 @@ class Topics:
             lockstep.Subscriber(f"/xtdrone/{name}/cmd_pose_enu", Pose, partial(self._on_pose, name))
             lockstep.Subscriber(f"/xtdrone/{name}/follow", Int32, partial(self._on_follow, name))
             for service, kind, act in (
-                ("set_mode", SetMode, lambda name, r: control.SetMode(name, r.custom_mode)),
+                ("set_mode", SetMode, lambda name, r: control.RequestMode(name, r.custom_mode)),
                 ("cmd/arming", CommandBool, lambda name, r: control.Arm(name)),
                 ("param/set", ParamSet, lambda name, r: control.SetReturnHeight(name, r.value.real)),
                 ("mission/pull", WaypointPull, self._pull),

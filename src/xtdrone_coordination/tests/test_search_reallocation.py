@@ -12,7 +12,7 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_coordination.search.assigned_mission import AssignedMission
 from xtdrone_coordination.search.coverage_map import OUTSIDE, SEEN, UNSEEN, CoverageMap
-from xtdrone_coordination.search.losses.reallocation import cut, share_out
+from xtdrone_coordination.search.losses import cut, share_out
 from xtdrone_coordination.search.people.candidates import Candidate, Evidence, nearest
 from xtdrone_coordination.search.planning.coverage_path import Waypoint, length
 from xtdrone_coordination.search.planning.plans import DatumSettings

@@ -21,7 +21,7 @@ from xtdrone_coordination.patterns import (
     parse_name,
     with_leader,
 )
-from xtdrone_coordination.patterns.even_selection_and_leader import farthest
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import farthest
 
 COUNTS = [*range(2, 34), 57, 100, 333, 1000, 1001]
 

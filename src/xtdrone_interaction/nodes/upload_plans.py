@@ -16,6 +16,7 @@ Exit status: 0 when all plans are uploaded, 1 when a vehicle has rejected its pl
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import rospy
@@ -23,6 +24,7 @@ from std_srvs.srv import Empty
 
 from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
 from xtdrone_control.plans import qgc_plan
+from xtdrone_control.programs.node_command_line import check_no_arguments, run_program
 from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_interaction.gcs import GcsError, upload_plans
 
@@ -30,8 +32,9 @@ _RESUME = "/gazebo/unpause_physics"
 _PATIENCE = 60.0  # s of wall time without a response: the simulator may still be loading
 
 
-def main() -> int:
+def main(arguments: Sequence[str]) -> int:
     """Upload and return the exit status."""
+    check_no_arguments(arguments)
     init_plain_node("upload_plans", disable_rostime=True)  # simulated time is paused until the upload is complete
     try:
         fleet = str(rospy.get_param("/xtdrone/fleet"))
@@ -56,10 +59,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except rospy.ROSInitException as error:
-        print(f"ground station: {error}", file=sys.stderr)
-        sys.exit(1)
-    except rospy.ROSException:  # the launch ends
-        sys.exit(1)
+    sys.exit(run_program(main, sys.argv, "upload_plans.py"))

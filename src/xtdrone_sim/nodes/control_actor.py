@@ -11,23 +11,25 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 import rospy
 from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
 
 from xtdrone_control import lockstep
+from xtdrone_control.programs.node_command_line import run_program
 
 LIMIT = 3.0  # simulated s to wait for the actor's subscriber
 
 
-def main() -> int:
+def main(arguments: Sequence[str]) -> int:
     """Send the command to the simulator; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("id", type=int, help="number in the world's order, from 0")
     parser.add_argument("x", type=float, help="m, map")
     parser.add_argument("y", type=float, help="m, map")
     parser.add_argument("v", type=float, nargs="?", default=-1.0, help="m/s")
-    options = parser.parse_args(rospy.myargv()[1:])
+    options = parser.parse_args(arguments)
     if options.id < 0:
         parser.error(f"id: {options.id} is not allowed, at least 0")
     lockstep.init_node(f"control_actor_{options.id}", rate=10.0)
@@ -43,11 +45,8 @@ def main() -> int:
         rate.sleep()
     publisher.publish(ActorMotion(options.x, options.y, options.v))
     rate.sleep()
-    return lockstep.exit_status()
+    return 0
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except rospy.ROSInterruptException:
-        sys.exit(1)
+    sys.exit(run_program(main, sys.argv, "control_actor.py ID X Y [V]"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_estimator_flights import UNSET, Flight
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control import frames
-from xtdrone_control.autopilot import modes
+from xtdrone_control import frames, modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.commands.command_execution import CommandHandler, from_command_int, from_command_long
 from xtdrone_control.mavlink.service_base import Vehicle

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot, step_all
 from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS
 from xtdrone_control.autopilot.parameters.parameter_choices import CHOICES

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import StartPose, parse_fleet
 from xtdrone_sim.effects import EffectError, Effects, load_effects
 from xtdrone_sim.physics.world import World

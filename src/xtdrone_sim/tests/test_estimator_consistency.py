@@ -16,8 +16,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control import frames
-from xtdrone_control.autopilot import modes
+from xtdrone_control import frames, modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 

@@ -9,8 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from xtdrone_control import frames
-from xtdrone_control.autopilot import modes
+from xtdrone_control import frames, modes
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.estimator.origin import move_origin
 from xtdrone_control.autopilot.state import (

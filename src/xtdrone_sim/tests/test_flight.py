@@ -12,7 +12,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation_kernels import rotate, yaw_of
 from xtdrone_sim.simulation import Simulation

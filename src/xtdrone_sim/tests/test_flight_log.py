@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.logger import sampled_topics
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot

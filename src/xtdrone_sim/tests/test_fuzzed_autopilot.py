@@ -15,7 +15,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_native.mavlink_wire import Outbox
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, describe
 from xtdrone_control.fleet import parse_fleet

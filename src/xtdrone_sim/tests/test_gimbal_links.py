@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.poses import Pose, compose, rotate

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.rotation_kernels import rotate_inverse
 from xtdrone_sim.simulation import Simulation

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.logger.log_folder import LogFolder
 from xtdrone_control.fleet import FleetError, StartPose, parse_fleet
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot

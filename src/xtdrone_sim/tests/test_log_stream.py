@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from pyulog import ULog
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.logger import mavlink_log_pieces
 from xtdrone_control.autopilot.logger.sampled_topics import TOPICS
 from xtdrone_control.fleet import parse_fleet

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.flight_tasks.obstacle_map import ObstacleMap
 from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.poses import Pose
 from xtdrone_sim.robots.wheel_drives import drive_of

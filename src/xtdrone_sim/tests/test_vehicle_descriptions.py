@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.poses import Pose, compose, inverse, rotate

@@ -6,12 +6,7 @@ import math
 
 import pytest
 
-from xtdrone_control.communication.setpoint import (
-    Setpoint,
-    acceleration_setpoint,
-    pose_setpoint,
-    velocity_setpoint,
-)
+from xtdrone_control.communication.setpoint import Setpoint, acceleration_setpoint, pose_setpoint, velocity_setpoint
 from xtdrone_swarm.simplified.setpoints import FORCE, SetpointError, Start, wanted
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, POSITION, VELOCITY
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from xtdrone_control.programs.user_classes import load_class
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import CommandError, Leader
 from xtdrone_coordination.patterns import PatternError, Patterns
-from xtdrone_coordination.user_classes import load_class
 from xtdrone_swarm import Model, NetworkOptions, Swarm
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles
 from xtdrone_swarm.swarm import MOST_VEHICLES

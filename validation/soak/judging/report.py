@@ -14,7 +14,7 @@ from rich.table import Table
 
 from validation.soak.judging.verdict import MIB, UNITS, Outcome, Verdict
 from validation.soak.resource_samples import PROCESSES
-from xtdrone_control.whole_file import write_whole
+from xtdrone_control.files import write_whole
 
 _TOP_WARNINGS = 40
 _QUOTED = 50  # maximum number of tracebacks and the like in the report

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import load_yaml, read_text
+from xtdrone_control.files import load_yaml, read_text
 from xtdrone_control.settings import SettingError, check_range
 
 FAMILY_SIZE = 587  # tags of 36h11
@@ -45,8 +45,8 @@ class TagBoard:
     """One or more tags in one plane.
 
     Attributes:
-        name: of its frame.
-        tags: in ascending order of their numbers.
+        name: Name of its frame.
+        tags: Tags in ascending order of their numbers.
     """
 
     name: str

@@ -31,7 +31,7 @@ _METHODS = (
     "checked_vector",
     "report_missing",
     "_known_peers",
-    "_limited",
+    "_limit",
     "_own_avoidance",
     "_near",
 )

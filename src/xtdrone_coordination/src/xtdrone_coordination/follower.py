@@ -267,7 +267,7 @@ class Follower:
             self._found = radius, formation_avoidance.near_vehicles(self.id, self.swarm.positions, radius)
         try:
             self.avoidance_vector = self.checked_vector(self.avoidance(), "avoidance")
-            return self._limited(self.law_output(own, self.offsets))
+            return self._limit(self.law_output(own, self.offsets))
         finally:
             self._found = None
 
@@ -295,7 +295,7 @@ class Follower:
                 peers.append(Peer(j, weight, position, velocities[j] or _ZERO, offsets[j]))
         return peers, missing
 
-    def _limited(self, desired: Vector) -> Vector:
+    def _limit(self, desired: Vector) -> Vector:
         """Return law plus avoidance within the limit; the law is limited first so that it cannot outweigh avoidance."""
         limit, k = self.options.limit, self.options.Kp_avoid
         x, y, z = clip(desired, limit)

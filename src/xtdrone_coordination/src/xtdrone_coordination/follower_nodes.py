@@ -45,6 +45,7 @@ from xtdrone_control.programs.node_command_line import (
     parse_ids,
     run_program,
 )
+from xtdrone_control.programs.user_classes import load_class, nothing_overridden
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.compiled_follower import CompiledFollower, is_stock
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
@@ -53,7 +54,6 @@ from xtdrone_coordination.laws import formation_avoidance
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import without_neighbours
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_coordination.user_classes import load_class, nothing_overridden
 
 if TYPE_CHECKING:
     from xtdrone_coordination.batch import FollowerBatch
@@ -167,7 +167,7 @@ class FollowerNode:
 
         Args:
             kind: vehicle type, as ``iris``.
-            followers: at least one, all with the same options and the same ``swarm``; with ``estimated`` one.
+            followers: Followers, at least one, all with the same options and ``swarm``; with ``estimated`` one.
             estimated: whether the positions are the follower's own estimates.
         """
         self.kind = kind

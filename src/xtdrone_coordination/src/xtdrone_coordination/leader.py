@@ -15,16 +15,74 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
 
 from xtdrone_control.communication.commands import OWN_COMMANDS, PX4_MODES
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import RATE
 from xtdrone_coordination.known_swarm_state import SwarmState, number_list
 from xtdrone_coordination.laws import formation_avoidance
-from xtdrone_coordination.laws.assignment import Assignment, assign
 from xtdrone_coordination.laws.consensus import Vector
 from xtdrone_coordination.laws.topology import check_adjacency, unreachable, veteran_topology, without_neighbours
 from xtdrone_coordination.patterns import Offsets, PatternError, Patterns, least_separation, with_leader
+
+_LARGE = 200  # followers; smaller problems are passed to the solver unchanged, so that ties are resolved as before
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """A solved assignment.
+
+    Attributes:
+        slots: shape (M,); follower i (row i of ``current``) flies to ``target[slots[i]]``.
+        cost: total straight-line distance, m.
+    """
+
+    slots: NDArray[np.intp]
+    cost: float
+
+
+def assign(current: ArrayLike, target: ArrayLike) -> Assignment:
+    """Return the assignment of minimum total Euclidean distance.
+
+    Args:
+        current: positions of the followers, shape (M, 3), m.
+        target: the slots in the same frame, shape (M, 3), m.
+
+    Raises:
+        ValueError: shapes differ or are not (M, 3), or a value is not finite.
+    """
+    here, there = np.asarray(current, dtype=float), np.asarray(target, dtype=float)
+    if here.ndim != 2 or here.shape[1] != 3 or here.shape != there.shape:
+        raise ValueError(f"assignment: shapes {here.shape} and {there.shape}, both must be (M, 3)")
+    if not (np.isfinite(here).all() and np.isfinite(there).all()):
+        raise ValueError("assignment: all positions must be finite")
+    distance = _distances(here, there)
+    rows, columns = linear_sum_assignment(distance if len(here) < _LARGE else _reduce(distance))
+    return Assignment(columns, float(distance[rows, columns].sum()))
+
+
+def _distances(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distances of all pairs, shape (M, M)."""
+    if len(here) < _LARGE:
+        return np.asarray(np.linalg.norm(here[:, None] - there[None], axis=-1))
+    squares = np.zeros((len(here), len(there)))
+    for a, b in zip(here.T, there.T, strict=True):  # one axis at a time, for a third of the memory
+        difference = a[:, None] - b
+        difference *= difference
+        squares += difference
+    return np.sqrt(squares, out=squares)
+
+
+def _reduce(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distances minus the least of each row, then of each column; the optimal assignments stay the same.
+
+    The solver starts without dual prices and is faster with zeros to assign.
+    """
+    reduced = distance - distance.min(axis=1, keepdims=True)
+    reduced -= reduced.min(axis=0)
+    return reduced
+
 
 NO_PATTERN = "waiting"  # XTDrone's keyboard sends it for the digit 0
 _MOST_WEIGHT = 2**31 - 1
@@ -93,7 +151,7 @@ class Leader:
 
         Args:
             count: number of vehicles N, at least 2.
-            patterns: by default XTDrone's and the generated ones.
+            patterns: Patterns to choose from; by default XTDrone's and the generated ones.
             swarm: shared state of the swarm; its own if none is given.
             options: settings; the defaults if none are given.
             warn: receives warnings; the Python logger of this module if none is given.
@@ -204,9 +262,9 @@ class Leader:
             return
         self._check_height(name, target)
         current = self.current()
-        solved = self._checked_assignment(self.assignment(current, target), current, target)
+        solved = self._check_assignment(self.assignment(current, target), current, target)
         offsets = target[solved.slots]
-        adjacency = self._checked_topology(name, offsets)
+        adjacency = self._check_topology(name, offsets)
         separation = least_separation(target)
         if separation < self.options.avoid_radius:
             self._warn(
@@ -253,7 +311,7 @@ class Leader:
             return points[1:] - points[0]
         return self.patterns.offsets("origin") if self.offsets is None else self.offsets.copy()
 
-    def _checked_assignment(self, given: Assignment | ArrayLike, current: Offsets, target: Offsets) -> Assignment:
+    def _check_assignment(self, given: Assignment | ArrayLike, current: Offsets, target: Offsets) -> Assignment:
         """Return the result of :meth:`assignment` as an Assignment."""
         slots = given.slots if isinstance(given, Assignment) else given
         followers = np.arange(self.count - 1)
@@ -271,7 +329,7 @@ class Leader:
             return Assignment(whole, given.cost)
         return Assignment(whole, float(np.linalg.norm(current - target[whole], axis=1).sum()))
 
-    def _checked_topology(self, name: str, offsets: Offsets) -> NDArray[np.int32]:
+    def _check_topology(self, name: str, offsets: Offsets) -> NDArray[np.int32]:
         """Return the topology for the assigned slots of a pattern; warn of followers cut off from the leader."""
         try:
             given = np.array(self.topology(with_leader(offsets)), dtype=float)

@@ -26,9 +26,9 @@ from xtdrone_control.fleet import (
     parse_fleet,
 )
 from xtdrone_control.programs.node_command_line import ArgumentError
+from xtdrone_control.programs.user_classes import load_class
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import Patterns, absolute_name
-from xtdrone_coordination.user_classes import load_class
 from xtdrone_interaction.formation.flight_criteria import CRITERIA, parse_criteria
 from xtdrone_interaction.formation.shared_topics_and_names import ORIGIN
 

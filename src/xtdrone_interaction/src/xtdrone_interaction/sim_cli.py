@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
-from xtdrone_control.lockstep.simulation_speed import speed_setting
+from xtdrone_control.programs.node_command_line import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.service_client import ServiceError, ServiceRefusedError, call_service
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from xtdrone_control.whole_file import write_whole
+from xtdrone_control.files import write_whole
 
 
 class Stopwatch:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
+from xtdrone_control.files import ContentError, load_yaml, read_text
 from xtdrone_sim.data_files import data_folders
 
 VEHICLES_VARIABLE = "XTDRONE_VEHICLES"  # environment: folders with user-defined vehicles, separated by colons

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +13,8 @@ from xtdrone_coordination.known_swarm_state import ArraySwarm, SwarmState
 from xtdrone_coordination.network import Network
 from xtdrone_swarm.swarm_vehicles import Array, Mask
 
-
-class Maker(Protocol):
-    """Factory for followers with the signature of the class ``Follower``."""
-
-    def __call__(self, id: int, count: int, *, swarm: SwarmState) -> Follower:
-        """Return the follower of vehicle ``id``, which reads the swarm's state from ``swarm``."""
+Maker = Callable[..., Follower]
+"""Factory of followers with the signature of the class ``Follower``: id, count, ``swarm=`` the state it reads."""
 
 
 class FollowerGroup:

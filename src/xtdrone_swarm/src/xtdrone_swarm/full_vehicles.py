@@ -16,15 +16,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from xtdrone_control import frames
-from xtdrone_control.autopilot import modes
+from xtdrone_control import frames, modes
 from xtdrone_control.autopilot.commander.commander import Result
-from xtdrone_control.autopilot.modes import PX4_MODES
-from xtdrone_control.communication.commands import HOVER_SPEED, OWN_COMMANDS, MultirotorCore, Request
+from xtdrone_control.communication.commands import HOVER_SPEED, OWN_COMMANDS, CommandRequest, MultirotorCore
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_control.mavlink.commands.setpoint_conversion import local_target
+from xtdrone_control.modes import PX4_MODES
 from xtdrone_control.rotation_arrays import yaw_of
 from xtdrone_coordination.patterns import origin_columns
 from xtdrone_sim.simulation import Simulation
@@ -82,7 +81,7 @@ class CoreVehicles:
             rows=origin_columns(count),
             world=world,
             seed=seed,
-            places=None if places is None else _checked_places(places, count),
+            places=None if places is None else _check_places(places, count),
         )
         self.names = tuple(vehicle.name for vehicle in fleet)
         self.step_us = self.simulation.step_us
@@ -157,7 +156,7 @@ class CoreVehicles:
         self._cores[index].on_state(self.mode[index], self.armed[index])
         return refusal
 
-    def _carry_out(self, index: int, request: Request) -> str:
+    def _carry_out(self, index: int, request: CommandRequest) -> str:
         commander = self.simulation.commanders[index]
         name = self.names[index]
         if request.arm is not None:
@@ -293,9 +292,7 @@ def _check_kind(kind: int) -> None:
         raise ValueError(f"kind of setpoint: {kind!r} is not allowed, one of {_KINDS}")
 
 
-def _checked_places(
-    places: Sequence[tuple[float, float, float]] | Array, count: int
-) -> list[tuple[float, float, float]]:
+def _check_places(places: Sequence[tuple[float, float, float]] | Array, count: int) -> list[tuple[float, float, float]]:
     array = np.asarray(places, dtype=float)
     if array.shape != (count, 3) or not np.isfinite(array).all():
         shape = " x ".join(map(str, array.shape))

@@ -31,11 +31,10 @@ from xtdrone_coordination.laws.topology import unreachable
 from xtdrone_coordination.leader import Leader, LeaderOptions, number_list
 from xtdrone_coordination.network import NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns
-from xtdrone_swarm.flight_record import Choice, Record
 from xtdrone_swarm.followers import FollowerGroup
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles, spawn_places
 from xtdrone_swarm.simplified.vehicle_parameters import Model
-from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY, Array, Vehicles
+from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY, Array, Choice, FlightRecord, Vehicles
 
 MOST_VEHICLES = 10_000  # in one swarm; the topology is a matrix of N x N
 SETTLED = 0.15  # m
@@ -144,7 +143,7 @@ class Swarm:
         self._begin()
 
     def _begin(self) -> None:
-        self.record = Record(len(self.vehicles.names)) if self._recording else None
+        self.record = FlightRecord(len(self.vehicles.names)) if self._recording else None
         self._said = ""
         self._warnings.clear()
         self._said_at: dict[str, float] = {}  # when followers' warnings were logged

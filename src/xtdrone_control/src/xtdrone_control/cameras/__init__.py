@@ -1,8 +1,7 @@
 """Camera geometry: pinholes, lenses with ROS's distortion models, and poses on gimbals."""
 
-from xtdrone_control.cameras.equidistant import Equidistant
 from xtdrone_control.cameras.lens_drawing import MOST_GROWTH, Drawing, drawing_of
-from xtdrone_control.cameras.plumb_bob import PlumbBob
+from xtdrone_control.cameras.lenses import Equidistant, PlumbBob
 
 Lens = PlumbBob | Equidistant
 

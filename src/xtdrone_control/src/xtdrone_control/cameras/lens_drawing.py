@@ -13,9 +13,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.cameras.equidistant import Equidistant
+from xtdrone_control.cameras.lenses import Equidistant, PlumbBob
 from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.cameras.plumb_bob import PlumbBob
 from xtdrone_control.rotation import Quaternion
 
 MOST_GROWTH = 3.0

@@ -1,5 +1,5 @@
-"""XTDrone communication layer on top of MAVROS: one small set of commands for all kinds of vehicles.
+"""XTDrone's communication layer on top of MAVROS: one small set of commands for all kinds of vehicles.
 
-``setpoint`` and ``core`` hold the logic, independent of ROS; ``multirotor`` is the class of the node; ``arguments``
-parses the command lines of programs that serve one or more vehicles.
+``commands`` (``MultirotorCore``) and ``setpoint`` hold the logic, independent of ROS; ``multirotor`` has the classes of
+the node: a vehicle's topics, services and link to MAVROS.
 """

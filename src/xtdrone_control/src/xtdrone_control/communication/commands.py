@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.communication.setpoint import (
     LARGEST,
     Setpoint,
@@ -20,6 +19,7 @@ from xtdrone_control.communication.setpoint import (
     velocity_setpoint,
     yaw_of,
 )
+from xtdrone_control.modes import PX4_MODES
 from xtdrone_control.settings import Settings, setting
 
 OWN_COMMANDS = ("ARM", "DISARM", "HOVER")
@@ -78,7 +78,7 @@ class Log(Protocol):
 
 
 @dataclass(frozen=True)
-class Request:
+class CommandRequest:
     """A service call requested by a command.
 
     Attributes:
@@ -163,7 +163,7 @@ class MultirotorCore:
         self._moving_since: float | None = None  # time of the last velocity or acceleration, while it is the setpoint
         self._mode: str | None = None
         self._armed: bool | None = None
-        self._request: Request | None = None  # the last command with a service call
+        self._request: CommandRequest | None = None  # the last command with a service call
         self._last = ""  # the last command of any kind
         self._pending = False
         self._accepted_at: float | None = None
@@ -218,7 +218,7 @@ class MultirotorCore:
 
     # commands of the user
 
-    def on_command(self, text: str, now: float) -> Request | None:
+    def on_command(self, text: str, now: float) -> CommandRequest | None:
         """Handle a string of the cmd topic; return the service call to make, if any.
 
         Args:
@@ -235,11 +235,11 @@ class MultirotorCore:
             self.mission = text[-1]
             self._log.info(f"{self.name}: mission {self.mission}")
             return None
-        self._request = Request(text, {"ARM": True, "DISARM": False}.get(text))
+        self._request = CommandRequest(text, {"ARM": True, "DISARM": False}.get(text))
         self._pending, self._accepted_at, self._confirmed = True, None, False
         return self._request
 
-    def on_result(self, request: Request, accepted: bool, reason: str, now: float) -> None:
+    def on_result(self, request: CommandRequest, accepted: bool, reason: str, now: float) -> None:
         """Handle the result of a service call.
 
         Args:

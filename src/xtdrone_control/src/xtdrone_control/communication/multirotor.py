@@ -18,7 +18,7 @@ topic                                  type                        meaning
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
 from queue import SimpleQueue
@@ -30,7 +30,7 @@ from mavros_msgs.srv import CommandBool, SetMode
 from std_msgs.msg import String
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.commands import HOVER_SPEED, MultirotorCore, Request, Steady
+from xtdrone_control.communication.commands import HOVER_SPEED, CommandRequest, MultirotorCore, Steady
 from xtdrone_control.communication.setpoint import Setpoint, Vector
 from xtdrone_control.ros_codec import compile_class
 
@@ -66,8 +66,8 @@ class MavrosServices:
     def __init__(self, vehicle: str, *, in_lockstep: bool) -> None:
         self._arm = rospy.ServiceProxy(f"/{vehicle}/mavros/cmd/arming", CommandBool)
         self._set_mode = rospy.ServiceProxy(f"/{vehicle}/mavros/set_mode", SetMode)
-        self._calls: list[tuple[Request, Future[tuple[bool, str]]]] = []
-        self._queue: SimpleQueue[tuple[Future[tuple[bool, str]], Request] | None] | None = None
+        self._calls: list[tuple[CommandRequest, Future[tuple[bool, str]]]] = []
+        self._queue: SimpleQueue[tuple[Future[tuple[bool, str]], CommandRequest] | None] | None = None
         if not in_lockstep:
             self._queue = SimpleQueue()
             # One thread: calls are made in the order of the commands. A daemon also works while the program exits.
@@ -78,7 +78,7 @@ class MavrosServices:
         """Whether a call is in progress or :meth:`finished` has yet to return its result."""
         return bool(self._calls)
 
-    def submit(self, request: Request) -> None:
+    def submit(self, request: CommandRequest) -> None:
         """Start a call; :meth:`finished` returns its result."""
         call: Future[tuple[bool, str]] = Future()
         if self._queue is not None:
@@ -93,7 +93,7 @@ class MavrosServices:
             call.set_result((False, f"no response within {_ANSWER_LIMIT:g} s of wall time; is MAVROS hanging?"))
         self._calls.append((request, call))
 
-    def finished(self) -> list[tuple[Request, bool, str]]:
+    def finished(self) -> list[tuple[CommandRequest, bool, str]]:
         """Return (request, accepted, reason) of the calls finished since the last call, in order."""
         ended = []
         while self._calls and self._calls[0][1].done():
@@ -108,21 +108,21 @@ class MavrosServices:
                 call.cancel()
             self._queue.put(None)
 
-    def _work(self, queue: SimpleQueue[tuple[Future[tuple[bool, str]], Request] | None]) -> None:
+    def _work(self, queue: SimpleQueue[tuple[Future[tuple[bool, str]], CommandRequest] | None]) -> None:
         """Make the calls of a node outside the lockstep one after another."""
         while (item := queue.get()) is not None:
             call, request = item
             if call.set_running_or_notify_cancel():
                 self._make(call, request)
 
-    def _make(self, call: Future[tuple[bool, str]], request: Request) -> None:
+    def _make(self, call: Future[tuple[bool, str]], request: CommandRequest) -> None:
         try:
             with lockstep.needs_time():
                 call.set_result(self._call(request))
         except Exception as error:  # for `finished` to raise
             call.set_exception(error)
 
-    def _call(self, request: Request) -> tuple[bool, str]:
+    def _call(self, request: CommandRequest) -> tuple[bool, str]:
         try:
             if request.arm is None:
                 return bool(self._set_mode(0, request.command).mode_sent), ""
@@ -201,7 +201,7 @@ class MavrosLink:
     def _on_pose(self, message: PoseStamped) -> None:
         self.core.on_pose(*_pose(message.pose))
 
-    def _on_result(self, request: Request, accepted: bool, reason: str, now: float) -> None:
+    def _on_result(self, request: CommandRequest, accepted: bool, reason: str, now: float) -> None:
         self.core.on_result(request, accepted, reason, now)
 
 
@@ -224,30 +224,12 @@ class MultirotorCommunication(MavrosLink):
         """
         core = MultirotorCore(vehicle, RosLog(), hover_speed=hover_speed, cmd_timeout=cmd_timeout)
         super().__init__(vehicle, core, in_lockstep=in_lockstep)
-        base = f"/xtdrone/{vehicle}"
-        lockstep.Subscriber(f"{base}/cmd", String, self._on_command)
-        for frame, body in (("enu", False), ("flu", True)):
-            for kind, message, callback in (
-                ("pose", Pose, self._on_target_pose),
-                ("vel", Twist, self._on_target_velocity),
-                ("accel", Twist, self._on_target_acceleration),
-            ):
-                topic = f"{base}/cmd_{kind}_{frame}"
-                lockstep.Subscriber(topic, message, partial(callback, topic, body))
+        subscribe_commands(f"/xtdrone/{vehicle}", core, self._on_command, lambda: rospy.Time.now().to_sec())
 
     def _on_command(self, message: String) -> None:
         request = self.core.on_command(message.data, rospy.Time.now().to_sec())
         if request is not None:
             self._services.submit(request)
-
-    def _on_target_pose(self, topic: str, body: bool, message: Pose) -> None:
-        self.core.on_target_pose(topic, *_pose(message), body=body)
-
-    def _on_target_velocity(self, topic: str, body: bool, message: Twist) -> None:
-        linear = message.linear
-        now = rospy.Time.now().to_sec()
-        vector = (linear.x, linear.y, linear.z)
-        self.core.on_target_velocity(topic, vector, message.angular.z, now, body=body)
 
     def catch_up(self, pose: Sequence[float], command: Sequence[float]) -> None:
         """Apply the messages that compiled code received in the turns it ran, see :meth:`steady`.
@@ -264,11 +246,43 @@ class MultirotorCommunication(MavrosLink):
             vx, vy, vz, yaw_rate, time = command
             self.core.on_target_velocity("", (vx, vy, vz), yaw_rate, time, body=False)
 
-    def _on_target_acceleration(self, topic: str, body: bool, message: Twist) -> None:
-        linear = message.linear
-        now = rospy.Time.now().to_sec()
-        vector = (linear.x, linear.y, linear.z)
-        self.core.on_target_acceleration(topic, vector, message.angular.z, now, body=body)
+
+def subscribe_commands(
+    base: str,
+    core: MultirotorCore,
+    on_command: Callable[[String], None],
+    seconds: Callable[[], float],
+    is_active: Callable[[], bool] = lambda: True,
+) -> None:
+    """Subscribe to XTDrone's command topics of one vehicle.
+
+    Args:
+        base: Namespace of the topics, such as ``/xtdrone/iris_0``.
+        core: Core that receives the setpoints.
+        on_command: Called with the messages of ``cmd``.
+        seconds: Returns the ROS time, s.
+        is_active: Whether setpoints are applied now.
+    """
+
+    def on_pose(topic: str, body: bool, message: Pose) -> None:
+        if is_active():
+            seconds()
+            core.on_target_pose(topic, *_pose(message), body=body)
+
+    def on_twist(apply: Callable[..., None], topic: str, body: bool, message: Twist) -> None:
+        if is_active():
+            linear = message.linear
+            apply(topic, (linear.x, linear.y, linear.z), message.angular.z, seconds(), body=body)
+
+    lockstep.Subscriber(f"{base}/cmd", String, on_command)
+    for frame, body in (("enu", False), ("flu", True)):
+        for kind, message, callback in (
+            ("pose", Pose, on_pose),
+            ("vel", Twist, partial(on_twist, core.on_target_velocity)),
+            ("accel", Twist, partial(on_twist, core.on_target_acceleration)),
+        ):
+            topic = f"{base}/cmd_{kind}_{frame}"
+            lockstep.Subscriber(topic, message, partial(callback, topic, body))
 
 
 def fill(message: PositionTarget, setpoint: Setpoint) -> None:

@@ -20,7 +20,7 @@ from mavros_msgs.msg import State, StatusText, SysStatus
 from sensor_msgs.msg import BatteryState
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.commands import MultirotorCore, Request
+from xtdrone_control.communication.commands import CommandRequest, MultirotorCore
 from xtdrone_control.communication.multirotor import RATE, MavrosLink
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_control.lockstep import future_name
@@ -75,10 +75,10 @@ class ScriptLink(MavrosLink):
         if self._output.get_num_connections():
             self.verbs.on_setpoint()
 
-    def _submit(self, request: Request) -> None:
+    def _submit(self, request: CommandRequest) -> None:
         self._services.submit(request)
 
-    def _on_result(self, request: Request, accepted: bool, reason: str, now: float) -> None:
+    def _on_result(self, request: CommandRequest, accepted: bool, reason: str, now: float) -> None:
         super()._on_result(request, accepted, reason, now)
         self.verbs.on_result(request, accepted, reason)
 
@@ -384,7 +384,7 @@ def connect(name: str = "iris_0", *, node: str = NODE, lockstep: bool | None = N
     Raises:
         DroneError: no ROS master, no such vehicle, or no report within the timeout.
     """
-    return _connected([name], node, lockstep, timeout)[0]
+    return _connect([name], node, lockstep, timeout)[0]
 
 
 def connect_all(
@@ -402,10 +402,10 @@ def connect_all(
     wanted = _fleet_names() if names is None else list(names)
     if not wanted or len(set(wanted)) != len(wanted):
         raise ValueError(f"names: {wanted} is not allowed, at least one vehicle, and each of them once")
-    return DroneGroup(_connected(wanted, node, lockstep, timeout))
+    return DroneGroup(_connect(wanted, node, lockstep, timeout))
 
 
-def _connected(names: Sequence[str], node: str, lockstep: bool | None, timeout: float) -> list[Drone]:
+def _connect(names: Sequence[str], node: str, lockstep: bool | None, timeout: float) -> list[Drone]:
     global _session  # a process has one node
     if _session is None:
         _check_master(names)

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-from xtdrone_control.communication.commands import MultirotorCore, Request
+from xtdrone_control.communication.commands import CommandRequest, MultirotorCore
 from xtdrone_control.communication.setpoint import LARGEST, Vector
 
 Steps = Iterator[None]
@@ -24,7 +24,7 @@ _WARNING = 4  # MAV_SEVERITY; texts of this severity or worse explain a rejectio
 _ERROR = 2  # DiagnosticStatus.ERROR
 _PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK
 
-_ARM, _DISARM = Request("ARM", True), Request("DISARM", False)
+_ARM, _DISARM = CommandRequest("ARM", True), CommandRequest("DISARM", False)
 
 
 class DroneError(Exception):
@@ -95,18 +95,20 @@ class Verbs:
     """The verbs of one vehicle.
 
     Attributes:
-        name: of the vehicle, such as ``iris_0``.
+        name: Name of the vehicle, such as ``iris_0``.
         core: computes the setpoint that is streamed during a verb.
         telemetry: the vehicle's latest reports.
         resets: number of resets of simulated time.
     """
 
-    def __init__(self, name: str, core: MultirotorCore, submit: Callable[[Request], None], now: Callable[[], float]):
+    def __init__(
+        self, name: str, core: MultirotorCore, submit: Callable[[CommandRequest], None], now: Callable[[], float]
+    ):
         """Start without telemetry.
 
         Args:
-            name: of the vehicle.
-            core: of the vehicle; the caller gives it state and pose.
+            name: Name of the vehicle.
+            core: Core of the vehicle; the caller gives it state and pose.
             submit: starts a service call, whose outcome is passed to ``on_result``.
             now: returns ROS time, s.
         """
@@ -117,7 +119,7 @@ class Verbs:
         self._submit = submit
         self._now = now
         self._streaming_since: float | None = None
-        self._requested: Request | None = None
+        self._requested: CommandRequest | None = None
         self._outcomes: list[tuple[bool, str]] = []
         self._watched: dict[str, float] = {}  # component to patience, s
         self._faults: dict[str, tuple[float, str]] = {}  # component in error to the time since when, s, and its text
@@ -129,7 +131,7 @@ class Verbs:
         if self._streaming_since is None:
             self._streaming_since = self._now()
 
-    def on_result(self, request: Request, accepted: bool, reason: str) -> None:
+    def on_result(self, request: CommandRequest, accepted: bool, reason: str) -> None:
         """Store the outcome of the latest service call."""
         if request is self._requested:
             self._outcomes.append((accepted, reason))
@@ -144,7 +146,7 @@ class Verbs:
 
         Args:
             name: ``VEHICLE: COMPONENT``.
-            level: of DiagnosticStatus: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
+            level: Level of DiagnosticStatus: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
             text: the message.
         """
         vehicle, _, component = name.partition(": ")
@@ -218,7 +220,7 @@ class Verbs:
         """Fly in OFFBOARD to ``position``, m ENU, and turn to ``heading``, rad; None keeps the current one."""
         if heading is None:
             heading = self._pose("go_to")[1]
-        yield from self._fly_to("go_to", position, heading, lambda: self._arrived(position, tolerance), timeout)
+        yield from self._fly_to("go_to", position, heading, lambda: self._has_arrived(position, tolerance), timeout)
 
     def set_velocity(self, velocity: Vector, yaw_rate: float, *, body: bool) -> Steps:
         """Fly with ``velocity`` m/s, ENU or FLU when ``body``, from now on."""
@@ -262,7 +264,7 @@ class Verbs:
         if self.core.mode == mode:
             return
         began = self._now()
-        yield from self._request(verb, Request(mode, None))
+        yield from self._request(verb, CommandRequest(mode, None))
         while self.core.mode != mode:
             if self._now() - began >= MODE_LIMIT:
                 raise RejectedError(self.name, verb, f"the mode stays {self.core.mode}, not {mode}{self._why(began)}")
@@ -295,7 +297,7 @@ class Verbs:
                 raise TimedOutError(self.name, verb, f"{left:.1f} m from the goal after {limit:g} s{self._why(began)}")
             yield
 
-    def _arrived(self, goal: Vector, tolerance: float) -> bool:
+    def _has_arrived(self, goal: Vector, tolerance: float) -> bool:
         pose = self.core.pose
         if pose is None or math.dist(pose[0], goal) > tolerance:
             return False
@@ -347,7 +349,7 @@ class Verbs:
         present, health = self.telemetry.sensors_present, self.telemetry.sensors_health
         return present != 0 and bool(health & _PREARM_CHECK or not present & _PREARM_CHECK)
 
-    def _request(self, verb: str, request: Request) -> Steps:
+    def _request(self, verb: str, request: CommandRequest) -> Steps:
         began = self._now()
         self._outcomes.clear()
         self._requested = replace(request)  # a copy, so that an earlier call's late answer is not taken for this one's

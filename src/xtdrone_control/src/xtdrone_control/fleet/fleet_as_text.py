@@ -10,19 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
+from xtdrone_control.files import ContentError, load_yaml, read_text
 
 from .start_places import start_pose
-from .vehicle import (
-    MAX_VEHICLES,
-    OFFBOARD_PORTS,
-    XTDRONE,
-    FleetError,
-    StartPose,
-    Vehicle,
-    check_instance,
-    check_ports,
-)
+from .vehicle import MAX_VEHICLES, OFFBOARD_PORTS, XTDRONE, FleetError, StartPose, Vehicle, check_instance, check_ports
 
 _KEYS = ("name", "type", "model", "pose", "id")
 _TYPE = r"[a-z][a-z0-9_]*"
@@ -46,7 +37,7 @@ def parse_fleet(text: str, instance: int = 0, ports: str = XTDRONE) -> tuple[Veh
     """
     check_instance(instance)
     check_ports(ports)
-    return with_ports(_parsed(text, instance), ports)
+    return with_ports(_parse(text, instance), ports)
 
 
 def with_ports(fleet: Sequence[Vehicle], ports: str) -> tuple[Vehicle, ...]:
@@ -64,11 +55,11 @@ def with_ports(fleet: Sequence[Vehicle], ports: str) -> tuple[Vehicle, ...]:
     return tuple(replace(vehicle, ports=ports) for vehicle in fleet)
 
 
-def _parsed(text: str, instance: int) -> tuple[Vehicle, ...]:
+def _parse(text: str, instance: int) -> tuple[Vehicle, ...]:
     if not _is_list(text):
-        return _counted(text, instance)
+        return _parse_counts(text, instance)
     try:
-        return _listed(text, instance)
+        return _parse_list(text, instance)
     except FleetError as error:
         raise FleetError(f"vehicles: {error}") from error
 
@@ -84,7 +75,7 @@ def read_fleet_file(path: str | Path, instance: int = 0) -> tuple[Vehicle, ...]:
         FleetError: the file cannot be read, or an entry is not allowed; the message gives file and entry.
     """
     try:
-        return _listed(read_text(path, _MOST_TEXT), instance)
+        return _parse_list(read_text(path, _MOST_TEXT), instance)
     except OSError as error:
         raise FleetError(f"fleet file {path}: {error.strerror or error}") from error
     except (ContentError, FleetError) as error:
@@ -143,7 +134,7 @@ def _is_list(text: str) -> bool:
     return "\n" in text.strip() or text.lstrip()[:1] in ("[", "-", "#")
 
 
-def _counted(text: str, instance: int) -> tuple[Vehicle, ...]:
+def _parse_counts(text: str, instance: int) -> tuple[Vehicle, ...]:
     vehicles: list[Vehicle] = []
     seen: set[str] = set()
     for entry in text.split(","):
@@ -160,7 +151,7 @@ def _counted(text: str, instance: int) -> tuple[Vehicle, ...]:
     return tuple(vehicles)
 
 
-def _listed(text: str, instance: int) -> tuple[Vehicle, ...]:
+def _parse_list(text: str, instance: int) -> tuple[Vehicle, ...]:
     try:
         entries = load_yaml(text)
     except ContentError as error:

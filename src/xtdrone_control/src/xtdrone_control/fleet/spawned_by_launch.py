@@ -51,7 +51,7 @@ def unused_ports(groups: Mapping[str, Any], fleet: Iterable[Vehicle]) -> list[st
     """Return a sentence for each vehicle whose ``mavlink_udp_port`` is not its autopilot's port, which follows its ID.
 
     Args:
-        groups: as for ``spawned_fleet``, which accepts them.
+        groups: Groups as for ``spawned_fleet``, which accepts them.
         fleet: the vehicles of the groups.
     """
     wanted = {_name(group): _port(group, "mavlink_udp_port") for group in groups.values()}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from xtdrone_control.bounded_file import ContentError, load_yaml
+from xtdrone_control.files import ContentError, load_yaml
 
 from .vehicle import FleetError, StartPose, Vehicle
 
@@ -74,10 +74,10 @@ def with_poses(fleet: Sequence[Vehicle], text: str) -> tuple[Vehicle, ...]:
         raise FleetError(f"poses: {text[:60]!r} is not allowed, a list with a pose for each vehicle")
     if len(values) != len(fleet):
         raise FleetError(f"poses: {len(values)} are given for {len(fleet)} vehicles, one each is needed")
-    return tuple(replace(v, pose=_named(v.name, value)) for v, value in zip(fleet, values, strict=True))
+    return tuple(replace(v, pose=_parse_places(v.name, value)) for v, value in zip(fleet, values, strict=True))
 
 
-def _named(name: str, value: Any) -> StartPose:
+def _parse_places(name: str, value: Any) -> StartPose:
     try:
         return start_pose(value)
     except FleetError as error:

@@ -80,7 +80,7 @@ def printable(text: str, most: int = 200) -> str:
     return line if len(text) <= most and len(line) <= most else line[: most - 3] + "..."
 
 
-def shown(value: object, most: int = 60) -> str:
+def quote(value: object, most: int = 60) -> str:
     """Return a value received as JSON in about ``most`` printable characters or fewer, for an error message."""
     if isinstance(value, list | dict):
         return f"{'a list' if isinstance(value, list) else 'an object'} of {len(value)}"
@@ -313,7 +313,7 @@ class Schedule:
         """
         fastest = 1_000_000 / base_step_us
         if isinstance(rate, bool) or not (isinstance(rate, int | float) and 0.0 < rate <= fastest):
-            raise ValueError(f"rate {shown(rate)}: must be above 0 and at most {fastest:g} Hz")
+            raise ValueError(f"rate {quote(rate)}: must be above 0 and at most {fastest:g} Hz")
         fraction = Fraction(rate).limit_denominator(1_000_000) or Fraction(rate)
         steps = Fraction(1_000_000, base_step_us) / fraction
         self._base_step_us = base_step_us

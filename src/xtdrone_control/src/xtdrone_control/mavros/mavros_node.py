@@ -28,7 +28,7 @@ import resource
 import sys
 import threading
 import xmlrpc.client
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from http.client import HTTPException
 from typing import Any, NamedTuple
 
@@ -38,24 +38,30 @@ from xtdrone_msgs.srv import GetReadiness, GetReadinessResponse
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import XTDRONE, FleetError, Vehicle, check_instance, check_ports, parse_fleet
-from xtdrone_control.mavros import left_out
 from xtdrone_control.mavros.feeds import Publisher
-from xtdrone_control.mavros.lib.plugin_settings import Params
-from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
-from xtdrone_control.mavros.plugin_lists import PluginLists
+from xtdrone_control.mavros.lib.plugin_settings import Params, PluginLists
+from xtdrone_control.mavros.link.autopilot_links import (
+    AutopilotLink,
+    AutopilotLinkError,
+    AutopilotReceiver,
+    FcuUrl,
+    bind_host_for,
+    parse_fcu_url,
+)
 from xtdrone_control.mavros.plugins import PLUGINS
 from xtdrone_control.mavros.readiness import TelemetryDemand, TelemetryOf, readiness
 from xtdrone_control.mavros.swarm_state_topic import Swarm
 from xtdrone_control.mavros.uas import PluginKind, Uas
-from xtdrone_control.mavros.unsubscribed_topics import Registrations, Watch
-from xtdrone_control.programs.fleet_parameter import wait_for_fleet
+from xtdrone_control.mavros.unsubscribed_topics import GraphWatch, Registrations, plugin_reasons, topics_left_out
+from xtdrone_control.programs.node_command_line import check_no_arguments, run_program
+from xtdrone_control.programs.plain_node import wait_for_fleet
 from xtdrone_control.programs.under_roslaunch import announce
 
 RATE = 50.0  # Hz of simulated time: PX4's fastest telemetry on the offboard link that MAVROS publishes
 _FAILED = 1
 
 
-class Connection(NamedTuple):
+class VehicleConnection(NamedTuple):
     """Name, namespace and link of one vehicle to serve."""
 
     name: str
@@ -95,10 +101,10 @@ class LockstepRos:
 
     Attributes:
         use_sim_time: whether ROS time is the simulator's time.
-        demand: of telemetry by callers of ``~get_readiness``.
+        demand: Demand of telemetry by callers of ``~get_readiness``.
     """
 
-    def __init__(self, receiver: Receiver) -> None:
+    def __init__(self, receiver: AutopilotReceiver) -> None:
         """Determine whether the time is simulated.
 
         Args:
@@ -147,7 +153,7 @@ class LockstepRos:
 
 def connections(
     settings: Mapping[str, Any], fleet: str, node_name: str, instance: object = 0, ports: object = XTDRONE
-) -> list[Connection]:
+) -> list[VehicleConnection]:
     """Return the connections to serve.
 
     Args:
@@ -159,7 +165,7 @@ def connections(
 
     Raises:
         FleetError: no fleet is given, or it is invalid, or ``instance`` or ``ports`` is not allowed.
-        LinkError: a malformed ``fcu_url`` or ``fleet_url``, or an unreachable ``fcu_host``.
+        AutopilotLinkError: a malformed ``fcu_url`` or ``fleet_url``, or an unreachable ``fcu_host``.
         ParamError: a setting has the wrong type.
     """
     params = Params(settings)
@@ -168,7 +174,7 @@ def connections(
         system = params.get("target_system_id", params.get("tgt_system", 1))
         target = system, params.get("target_component_id", params.get("tgt_component", 1))
         name = node_name.rpartition("/")[0].strip("/") or "fcu"
-        return [Connection(name, node_name, parse_fcu_url(url), target)]
+        return [VehicleConnection(name, node_name, parse_fcu_url(url), target)]
     text = params.get("fleet", fleet)
     if not text:
         raise FleetError("vehicles: none are named; set /xtdrone/fleet, e.g. to iris:9, or fcu_url for a single one")
@@ -182,7 +188,7 @@ def connections(
     return [connection._replace(prefix=node_name) for connection in _fleet_connections(params, chosen)]
 
 
-def _fleet_connections(params: Params, vehicles: Iterable[Vehicle]) -> list[Connection]:
+def _fleet_connections(params: Params, vehicles: Iterable[Vehicle]) -> list[VehicleConnection]:
     fleet_url = params.get("fleet_url", "")
     if fleet_url:
         first = parse_fcu_url(fleet_url)
@@ -195,14 +201,14 @@ def _fleet_connections(params: Params, vehicles: Iterable[Vehicle]) -> list[Conn
     ]
 
 
-def _connection(vehicle: Vehicle, url: FcuUrl) -> Connection:
-    return Connection(vehicle.name, f"/{vehicle.name}/mavros", url, (vehicle.system_id, 1))
+def _connection(vehicle: Vehicle, url: FcuUrl) -> VehicleConnection:
+    return VehicleConnection(vehicle.name, f"/{vehicle.name}/mavros", url, (vehicle.system_id, 1))
 
 
 class MavrosNode:
     """The hubs of all vehicles and the receiver thread that serves them."""
 
-    def __init__(self, vehicles: list[Connection], settings: Mapping[str, Any]) -> None:
+    def __init__(self, vehicles: list[VehicleConnection], settings: Mapping[str, Any]) -> None:
         """Bind the ports and advertise topics and services.
 
         Args:
@@ -210,14 +216,14 @@ class MavrosNode:
             settings: the node's private parameters.
 
         Raises:
-            LinkError: a port is already in use.
+            AutopilotLinkError: a port is already in use.
             ValueError: a setting is not allowed (includes ParamError).
         """
         shared = Params(settings)
         source = shared.get("system_id", 1), shared.get("component_id", 240)
         # Bind the ports before advertising anything, so that a node that cannot run leaves no trace.
         self._links = _open(vehicles, source)
-        self._receiver = Receiver(self._links)
+        self._receiver = AutopilotReceiver(self._links)
         self._ros = LockstepRos(self._receiver)
         params = [_params(vehicle, settings) for vehicle in vehicles]
         for complaint in _complaints(params):
@@ -238,7 +244,7 @@ class MavrosNode:
         prefixes = [vehicle.prefix for vehicle in vehicles]
         rospy.Service("~get_readiness", GetReadiness, self._get_readiness)
         names = [vehicle.name for vehicle in vehicles]
-        self._watch = Watch(rospy.get_name(), prefixes, left_out.subscribed(), system_state, names)
+        self._watch = GraphWatch(rospy.get_name(), prefixes, topics_left_out(), system_state, names)
         lockstep.declare_udp([link.port for link in self._links], self._serve)
         lockstep.add_reset_hook(self._on_time_reset)
         self._receiver.start()
@@ -323,11 +329,11 @@ class MavrosNode:
 
 def main() -> int:
     """Run the node; return its exit status."""
-    if not rosgraph.is_master_online():
-        uri = rosgraph.get_master_uri()
-        advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
-        print(f"mavros: no ROS master answers at {uri}; {advice}", file=sys.stderr)
-        return _FAILED
+    return run_program(_run, sys.argv, "mavros_node.py   (see its parameters in docs/mavros.md)")
+
+
+def _run(arguments: Sequence[str]) -> int:
+    check_no_arguments(arguments)
     _allow_many_files()
     lockstep.init_node("mavros", rate=RATE)
     try:
@@ -337,9 +343,7 @@ def main() -> int:
         vehicles = connections(settings, fleet, rospy.get_name(), instance, ports)
         with lockstep.registering_together():
             node = MavrosNode(vehicles, settings)
-    except rospy.ROSInterruptException:
-        return 0  # shut down while waiting
-    except (FleetError, LinkError, ValueError) as error:
+    except (FleetError, AutopilotLinkError, ValueError) as error:
         rospy.logfatal(f"mavros: {error}")
         rospy.signal_shutdown(str(error))
         return _FAILED
@@ -348,14 +352,9 @@ def main() -> int:
         lockstep.start()
         node.watch()
         lockstep.spin(node.step)
-    except rospy.ROSInterruptException:
-        pass  # shut down while joining
-    except rospy.ROSInitException as error:
-        rospy.logfatal(f"mavros: {error}")
-        return _FAILED
     finally:
         node.close()
-    return lockstep.exit_status()
+    return 0
 
 
 def _allow_many_files() -> None:
@@ -381,12 +380,12 @@ def _fleet(settings: Mapping[str, Any]) -> str:
     return wait_for_fleet(wanted)
 
 
-def _open(vehicles: list[Connection], source: tuple[int, int]) -> list[Link]:
-    links: list[Link] = []
+def _open(vehicles: list[VehicleConnection], source: tuple[int, int]) -> list[AutopilotLink]:
+    links: list[AutopilotLink] = []
     try:
         for vehicle in vehicles:
-            links.append(Link(vehicle.name, vehicle.url, vehicle.target, source))
-    except LinkError:
+            links.append(AutopilotLink(vehicle.name, vehicle.url, vehicle.target, source))
+    except AutopilotLinkError:
         for link in links:
             link.close()
         raise
@@ -396,7 +395,7 @@ def _open(vehicles: list[Connection], source: tuple[int, int]) -> list[Link]:
 def _complaints(params: Iterable[Params]) -> list[str]:
     """Return the problems found in the vehicles' plugin lists, without duplicates."""
     names = [plugin.name for plugin in PLUGINS if plugin.listed]
-    absent = left_out.plugin_reasons()
+    absent = plugin_reasons()
     sentences = (PluginLists(own).complaints(names, absent) for own in params)
     return list(dict.fromkeys(itertools.chain.from_iterable(sentences)))
 
@@ -425,6 +424,6 @@ def setpoint_namespace(value: object) -> str:
     raise ValueError(f"/xtdrone/setpoint_namespace: {value!r} is not allowed, a name such as safety, or empty")
 
 
-def _params(vehicle: Connection, settings: Mapping[str, Any]) -> Params:
+def _params(vehicle: VehicleConnection, settings: Mapping[str, Any]) -> Params:
     own = rospy.get_param(vehicle.prefix, {})
     return Params(own, settings) if isinstance(own, dict) else Params(settings)

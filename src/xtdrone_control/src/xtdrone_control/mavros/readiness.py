@@ -13,11 +13,10 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_msgs.msg import FailingCheck, VehicleReadiness
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.events.events import ERROR
 from xtdrone_control.mavros.feeds import Feed
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _WANTED_FOR = 10.0  # s of wall time after a request
 
@@ -89,7 +88,7 @@ def readiness(uas: Uas, *, telemetry: bool = False) -> VehicleReadiness:
 
     Args:
         uas: hub of the vehicle.
-        telemetry: with battery and estimator, where they have been received.
+        telemetry: Telemetry, with battery and estimator where they have been received.
     """
     heartbeat, refusals, link = uas.heartbeat, uas.refusals, uas.link
     message = VehicleReadiness(vehicle=uas.name, connected=uas.connected, reported=refusals.reported)

@@ -12,9 +12,9 @@ from operator import attrgetter
 from typing import Any, ClassVar
 
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES, message
+from xtdrone_control.mavros.feeds import Feed, Topic
 from xtdrone_control.mavros.link.ros_values_to_mavlink import FieldError, require_finite
-from xtdrone_control.mavros.plugin import Feed, Plugin, Topic
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _STAMPS = ("time_usec", "time_boot_ms", "time_last_baseline_ms")
 
@@ -172,7 +172,7 @@ class Relay(Plugin):
             self.messages[out.message] = Feed(partial(out.publish, uas, topic), topic, any_sender=out.any_sender)
         for row in self.ins:
             forward = partial(row.forward, uas)
-            uas.subscribe(row.topic, row.kind, limited(uas, forward, *row.rate) if row.rate else forward)
+            uas.subscribe(row.topic, row.kind, limit_rate(uas, forward, *row.rate) if row.rate else forward)
 
 
 def relay(plugin: str, *rows: Out | In) -> type[Relay]:
@@ -187,7 +187,7 @@ def relay(plugin: str, *rows: Out | In) -> type[Relay]:
     return Made
 
 
-def limited(uas: Uas, call: Callable[[Any], None], parameter: str, default: float) -> Callable[[Any], None]:
+def limit_rate(uas: Uas, call: Callable[[Any], None], parameter: str, default: float) -> Callable[[Any], None]:
     """Return ``call`` limited to the rate in ``parameter`` (Hz of ROS time).
 
     Raises:
@@ -214,7 +214,7 @@ def text(value: str, size: int) -> bytes:
     return value.encode("utf-8", "replace")[:size]
 
 
-def wrapped(value: int, bits: int) -> int:
+def wrap_bits(value: int, bits: int) -> int:
     """Return an unsigned number as the signed number of ``bits`` bits with the same bit pattern, like a C++ cast."""
     return value - (1 << bits) if value >> (bits - 1) & 1 else value
 

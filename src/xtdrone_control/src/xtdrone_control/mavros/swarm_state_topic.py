@@ -12,8 +12,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.feeds import Feed, Ros, Topic
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 TOPIC = "/xtdrone/swarm"
 FIELDS = 6  # x, y, z in m, vx, vy, vz in m/s, ENU

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -14,15 +14,13 @@ from xtdrone_control.geodesy.geoid import undulation
 from xtdrone_control.mavlink.wire.codec import Decoder, FrameError, decoder, message_name
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavros.feeds import Feed, Need, Ros, Topic
-from xtdrone_control.mavros.lib.log_throttle import Throttle
-from xtdrone_control.mavros.lib.plugin_settings import Params
+from xtdrone_control.mavros.lib.plugin_settings import Params, PluginLists
 from xtdrone_control.mavros.lib.refusals import Refusals
-from xtdrone_control.mavros.link.autopilot_links import RAW, Link
-from xtdrone_control.mavros.link.command_acks import Commands
+from xtdrone_control.mavros.link.autopilot_links import RAW, AutopilotLink, Throttle
+from xtdrone_control.mavros.link.command_acks import AwaitedCommands
 from xtdrone_control.mavros.link.plan_transfers import PlanTransfers
 from xtdrone_control.mavros.link.ros_values_to_mavlink import FLOAT32_MAX, FLOAT32_RANGE, FieldError, source
-from xtdrone_control.mavros.link.stream_requests import Streams
-from xtdrone_control.mavros.plugin_lists import PluginLists
+from xtdrone_control.mavros.link.stream_requests import StreamRequests
 
 log = logging.getLogger("rosout.mavros")
 
@@ -58,19 +56,28 @@ class _Timer:
         self.call = call
 
 
-class LoadedPlugin(Protocol):
-    """A plugin of one vehicle as seen by the hub; see ``plugin.Plugin``."""
+class Plugin:
+    """One MAVROS plugin of one vehicle.
 
-    @property
-    def messages(self) -> Mapping[str | int, Feed | Sequence[Feed]]:
-        """MAVLink message names and their feeds."""
+    A subclass creates its topics and services in ``__init__`` and fills in:
 
-    @property
-    def replies(self) -> Mapping[str, Callable[[bytes], None]]:
-        """MAVLink message names and the handlers of raw frames."""
+    Attributes:
+        messages: MAVLink message name to its feed or feeds, handled in the main thread; ``RAW`` for every frame.
+        replies: MAVLink message name to a handler of the raw frame that the receiver thread calls immediately; for
+            answers that a service is waiting for.
+    """
+
+    name = ""
+    listed = True
+
+    def __init__(self, uas: Uas) -> None:
+        """Store the vehicle's hub."""
+        self.uas = uas
+        self.messages: dict[str | int, Feed | Sequence[Feed]] = {}
+        self.replies: dict[str, Callable[[bytes], None]] = {}
 
     def connected(self, connected: bool) -> None:
-        """Handle the first heartbeat of the autopilot, or the loss of its heartbeat."""
+        """Handle the first heartbeat of the autopilot or the loss of its heartbeat; the default does nothing."""
 
 
 class PluginKind(Protocol):
@@ -84,7 +91,7 @@ class PluginKind(Protocol):
     name: str
     listed: bool
 
-    def __call__(self, uas: Uas) -> LoadedPlugin:
+    def __call__(self, uas: Uas) -> Plugin:
         """Create the plugin for a vehicle."""
 
 
@@ -112,7 +119,7 @@ class Uas:
         self,
         name: str,
         prefix: str,
-        link: Link,
+        link: AutopilotLink,
         params: Params,
         ros: Ros,
         plugins: Iterable[PluginKind],
@@ -136,7 +143,7 @@ class Uas:
         self.params = params
         self.ros = ros
         self.target = link.target
-        self.commands = Commands(link.send, ros.needs_time)
+        self.commands = AwaitedCommands(link.send, ros.needs_time)
         self.plans = PlanTransfers(link.send, link.target, ros.needs_time)
         self.refusals = Refusals()
         self.arming_held = ""
@@ -155,7 +162,7 @@ class Uas:
         self._attitude_of: Any = None
         self._attitude: tuple[frames.Quaternion, frames.Vector] | None = None
         self._attitude_slot = self._slot("ATTITUDE_QUATERNION")
-        self.streams = Streams(self._request_interval, _RATES | params.get("stream_rates", {}))
+        self.streams = StreamRequests(self._request_interval, _RATES | params.get("stream_rates", {}))
         self._manage_streams = params.get("manage_streams", True)
         self._geoid = _geoid(params.get("global_position/geoid", _GEOIDS[0]))
         lists = PluginLists(params)
@@ -215,7 +222,7 @@ class Uas:
                 return handler(request)
             except FieldError as error:
                 self._refuse(name, request, error)
-                return _denied(kind)
+                return _deny(kind)
 
         self.ros.service(f"{self.prefix}/{name}", kind, answer)
 
@@ -225,7 +232,7 @@ class Uas:
 
     def latest(self, name: str) -> Any:
         """Return the latest message ``name``, decoded, or None; a feed must request it."""
-        return self._decoded(self._slots[MESSAGE_ID[name]])
+        return self._decode(self._slots[MESSAGE_ID[name]])
 
     def glance(self, name: str) -> Any:
         """Return the latest message ``name``, decoded for the caller alone, or None; in any thread."""
@@ -241,7 +248,7 @@ class Uas:
 
         A plugin that calls this must have a feed for ATTITUDE_QUATERNION.
         """
-        message = self._decoded(self._attitude_slot)
+        message = self._decode(self._attitude_slot)
         if message is not None and message is not self._attitude_of:
             q = frames.attitude_ned_to_enu(message.q1, message.q2, message.q3, message.q4)
             self._attitude = q, frames.frd_to_flu(message.rollspeed, message.pitchspeed, message.yawspeed)
@@ -325,7 +332,7 @@ class Uas:
         self.set_connected(False, "restarts: the simulation was reset")
         self._forget()
 
-    def rebooted(self) -> None:
+    def on_reboot(self) -> None:
         """Reset requests and cached values after a reboot of the autopilot."""
         log.warning("%s: autopilot %d.%d has been rebooted", self.name, *self.target)
         self._forget()
@@ -387,7 +394,7 @@ class Uas:
             return
         wanted = self.link.wanted - {RAW}
         if any(feed.wanted and feed.all_streams for feed in self._slots[RAW].feeds):
-            self.streams.update(wanted | self.streams.switched_off(), ())
+            self.streams.update(wanted | self.streams.stopped_ids(), ())
         else:
             self.streams.update(wanted, seen)
 
@@ -413,7 +420,7 @@ class Uas:
         self.refusals.reset()
         self.streams.reset()
 
-    def _connect(self, plugin: LoadedPlugin) -> None:
+    def _connect(self, plugin: Plugin) -> None:
         for name, feeds in plugin.messages.items():
             self._slot(name).feeds += [feeds] if isinstance(feeds, Feed) else feeds
         for name, handler in plugin.replies.items():
@@ -427,7 +434,7 @@ class Uas:
             self._slots[number] = _Slot(decoder(name))
         return self._slots[number]
 
-    def _decoded(self, slot: _Slot) -> Any:
+    def _decode(self, slot: _Slot) -> Any:
         if slot.message is None and slot.frame is not None:
             try:
                 slot.message = slot.decode(slot.frame)
@@ -454,7 +461,7 @@ def _geoid(model: str) -> Callable[[float, float], float]:
     return undulation if model == _GEOIDS[0] else lambda latitude, longitude: 0.0
 
 
-def _denied(kind: Any) -> Any:
+def _deny(kind: Any) -> Any:
     """Return a service response for a command that was not sent: no success, result "denied" where it has one."""
     response = kind._response_class()
     if hasattr(response, "result"):

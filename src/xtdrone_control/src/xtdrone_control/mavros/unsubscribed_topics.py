@@ -1,7 +1,10 @@
-"""Detection of publishers on MAVROS's and XTDrone's topics without a subscriber, whose messages would be lost silently.
+"""Parts of MAVROS that this layer does not offer, and the detection of publishers whose messages would be lost.
 
-A daemon thread queries the master periodically in wall time, so no topic needs a subscription and the simulation is not
-affected. The larger the ROS graph, the longer the period.
+``docs/mavros.md`` is generated from ``LEFT_OUT`` and from the plugins; a test fails if that lists an offered topic.
+Names of plugins and topics are those of MAVROS 1.x (``mavros_plugins.xml`` of mavros and mavros_extras).
+
+A daemon thread queries the master for topics without a subscriber periodically in wall time, so no topic needs a
+subscription and the simulation is not affected. The larger the ROS graph, the longer the period.
 """
 
 from __future__ import annotations
@@ -11,10 +14,70 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from xtdrone_control.fleet import COMMAND_TOPICS
-from xtdrone_control.mavros.left_out import LeftOut, explain
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """The part of a MAVROS plugin that is not offered.
+
+    Attributes:
+        why: the reason, as part of a sentence.
+        instead: the replacement, empty for none.
+        published: topics that MAVROS publishes, below the vehicle's ``mavros`` namespace unless they begin with "/".
+        subscribed: topics that MAVROS subscribes to.
+    """
+
+    why: str
+    instead: str = ""
+    published: tuple[str, ...] = ()
+    subscribed: tuple[str, ...] = ()
+
+
+LEFT_OUT: dict[str, tuple[LeftOut, ...]] = {
+    "global_position": (LeftOut("HOME_POSITION of the autopilot is used", subscribed=("home_position/home",)),),
+    "guided_target": (
+        LeftOut(
+            "it serves ArduPilot's guided mode",
+            "setpoint_raw/target_local",
+            published=("/move_base_simple/goal",),
+            subscribed=("global_position/gp_origin",),
+        ),
+    ),
+    "rangefinder": (LeftOut("only ArduPilot sends it"),),
+    "safety_area": (LeftOut("MAVROS's configuration for PX4 denies it", "geofence/push"),),
+    "setpoint_position": (
+        LeftOut("the autopilot's messages are used", subscribed=("global_position/global", "local_position/pose")),
+    ),
+    "wheel_odometry": (LeftOut("a simulated multicopter has no wheels"),),
+    "mavros": (  # the node itself
+        LeftOut("ground stations use their own ports, docs/ground-stations.md", published=("/mavlink/gcs_ip",)),
+        LeftOut(
+            "frame rotations are fixed and need no tf; setpoint plugins use tf with tf/listen",
+            published=("/tf_static",),
+            subscribed=("/tf", "/tf_static"),
+        ),
+    ),
+}
+
+
+def plugin_reasons() -> dict[str, str]:
+    """Return the reasons by MAVROS plugin, for plugins that are not offered in full."""
+    return {plugin: "; ".join(entry.why for entry in entries) for plugin, entries in LEFT_OUT.items()}
+
+
+def topics_left_out() -> dict[str, LeftOut]:
+    """Return the topics that only MAVROS subscribes to, without the namespace, with their entries."""
+    return {topic: entry for entries in LEFT_OUT.values() for entry in entries for topic in entry.subscribed}
+
+
+def explain(entry: LeftOut) -> str:
+    """Return the reason and the replacement as the end of a sentence."""
+    return f"{entry.why}; use {entry.instead}" if entry.instead else entry.why
+
 
 log = logging.getLogger("rosout.mavros")
 
@@ -25,7 +88,7 @@ _LIKENESS = 0.85
 Registrations = Mapping[str, Collection[str]]  # topic to the names of nodes
 
 
-class Finding(NamedTuple):
+class UnheardTopic(NamedTuple):
     """A topic without a subscriber, a node that publishes on it, and the text of the warning."""
 
     topic: str
@@ -33,7 +96,7 @@ class Finding(NamedTuple):
     text: str
 
 
-class Watch:
+class GraphWatch:
     """Periodic check of the ROS graph; warns once for each topic."""
 
     def __init__(
@@ -80,7 +143,7 @@ class Watch:
                 self._told.add(finding.topic)
                 log.warning("%s, on which %s publishes, %s", *finding)
 
-    def findings(self, publishers: Registrations, subscribers: Registrations) -> Iterator[Finding]:
+    def findings(self, publishers: Registrations, subscribers: Registrations) -> Iterator[UnheardTopic]:
         """Yield the topics without a subscriber in a state of the graph."""
         for topic, nodes in sorted(publishers.items()):
             others = sorted(set(nodes) - {self._own_name, *self._idle_relays(topic, publishers, subscribers)})
@@ -88,7 +151,7 @@ class Watch:
                 continue
             text = self._words(topic, subscribers)
             if text:
-                yield Finding(topic, others[0], text)
+                yield UnheardTopic(topic, others[0], text)
 
     def _idle_relays(self, topic: str, publishers: Registrations, subscribers: Registrations) -> Collection[str]:
         """Return the nodes that publish a command only if it is sent to the leader, while no node sends it."""

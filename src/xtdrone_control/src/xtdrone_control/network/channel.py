@@ -32,14 +32,14 @@ class Air(NamedTuple):
     """State and settings of the network; turn k is in row k % rows.
 
     Attributes:
-        position: of every vehicle, or its last known one, shape (rows, N, 3), m; NaN before the first.
+        position: Position of every vehicle, or its last known one, shape (rows, N, 3), m; NaN before the first.
         velocity: likewise, shape (rows, N, 3), m/s.
         sent: turn of the newest sample sent by vehicle j in a turn, NEVER if none, shape (rows, N).
         travel: upper bound of the distance travelled by any vehicle up to a turn, shape (rows,), m.
         since: turn before which received samples are dropped, one per receiver.
         own: turn of each vehicle's own newest position, NEVER before the first.
         turn: the current turn, shape (1,).
-        seed: of the draws.
+        seed: Seed of the draws.
         range: m.
         delay: minimum delay in turns, not rounded.
         jitter: maximum additional delay in turns, not rounded.

@@ -70,8 +70,8 @@ class MessageRadio:
             now: s; not less than in earlier calls.
             sender: number of the vehicle.
             bits: size.
-            positions: of all vehicles now, shape (N, 3), m; NaN where unknown, which counts as out of range if the
-                range is finite.
+            positions: Positions of all vehicles now, shape (N, 3), m; NaN where unknown, which counts as out of range
+                if the range is finite.
         """
         number = self._numbers[sender]
         self._numbers[sender] += 1

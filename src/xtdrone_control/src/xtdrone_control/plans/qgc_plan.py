@@ -21,11 +21,10 @@ from typing import Any
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
-from xtdrone_control.bounded_file import MB, ContentError, load_json, read_text
+from xtdrone_control.files import MB, ContentError, load_json, read_text, write_whole
 from xtdrone_control.mavlink.microservices import mission_items
 from xtdrone_control.plans import waypoint_file
 from xtdrone_control.plans.structure_scan import StructureScan, different_corners
-from xtdrone_control.whole_file import write_whole
 
 SUFFIX = ".plan"
 SUFFIXES = (SUFFIX, ".waypoints")

@@ -5,16 +5,20 @@ Programs for several vehicles of one type name them as ``iris 0``, ``iris 0-8``,
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, Vehicle, parse_fleet
-from xtdrone_control.settings import SettingError
+from xtdrone_control.settings import SettingError, setting
 
 MULTIROTORS = ("iris", "solo", "typhoon_h480")
 OTHER_VEHICLES = ("plane", "rover", "standard_vtol", "tiltrotor", "tailsitter")
+
+exit_statuses: list[Callable[[], int]] = []
+"""Functions that return an exit status for a program whose main function has returned; the lockstep adds its own."""
 
 
 class ArgumentError(ValueError):
@@ -39,7 +43,7 @@ def parse_ids(text: str, first: int, last: int | None, name: str = "id") -> list
         text: a number, a range ``0-8``, a comma-separated list of these, or ``all``.
         first: lowest index allowed.
         last: highest index allowed; None if the number of vehicles is unknown, then ``all`` is rejected.
-        name: of the argument, for messages.
+        name: Name of the argument, for messages.
 
     Returns:
         The indices, ascending.
@@ -175,29 +179,27 @@ def _ids_in(fleet: Sequence[Vehicle], kind: str, text: str) -> list[int]:
     return sorted(ids)
 
 
-def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str], usage: str) -> int:
+def run_program(main: Callable[[Sequence[str]], int | None], arguments: Sequence[str], usage: str) -> int:
     """Run a node's main function and return the exit status.
 
     Args:
-        main: called with the arguments without ROS remappings.
+        main: Called with the arguments without ROS remappings; returns an exit status, or None for 0.
         arguments: the command line with the program's name.
         usage: printed after an invalid command line.
 
     Returns:
-        0 after a normal end; 1 without a ROS master, or if the simulator rejects or drops the node or crashes; 2 for
-        an invalid command line or parameter. The reason goes to standard error.
+        That of ``main`` after a normal end; 1 without a ROS master, or if the simulator rejects or drops the node or
+        crashes; 2 for an invalid command line or parameter. The reason goes to standard error.
     """
     import rosgraph  # here: this module can be imported without ROS
     import rospy
-
-    from xtdrone_control import lockstep
 
     arguments = rospy.myargv(list(arguments))[1:]
     if not rosgraph.is_master_online():
         print(f"no ROS master at {rosgraph.get_master_uri()}: start roscore or a launch file first", file=sys.stderr)
         return 1
     try:
-        main(arguments)
+        status = main(arguments)
     except (ArgumentError, SettingError) as error:
         print(f"{error}\nusage: {usage}", file=sys.stderr)
         return 2
@@ -205,7 +207,34 @@ def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str],
         print(error, file=sys.stderr)
         return 1
     except rospy.ROSInterruptException:
-        pass  # shut down
+        status = 0  # shut down
     except KeyboardInterrupt:
         return 0
-    return lockstep.exit_status()
+    return status or max((add() for add in exit_statuses), default=0)
+
+
+LEAST_SPEED = 0.01
+"""Minimum target real-time factor; below it a 20 ms tick would take more than two seconds."""
+
+
+def speed_setting(
+    text: str = "target speed (default: unlimited)", *, default: Any = 0.0, positional: bool = False
+) -> Any:
+    """Declare a target real-time factor; 0 for ``unlimited``."""
+    return setting(
+        default,
+        parse=_parse_speed,
+        allowed=f"a real-time factor of at least {LEAST_SPEED}, or 'unlimited'",
+        metavar="FACTOR",
+        text=text,
+        positional=positional,
+    )
+
+
+def _parse_speed(text: object) -> float:
+    if text == "unlimited":
+        return 0.0
+    value = float(text) if isinstance(text, (str, int, float)) else math.nan
+    if not (math.isfinite(value) and value >= LEAST_SPEED):
+        raise ValueError
+    return value

@@ -53,12 +53,12 @@ _COMMON = ("xtdrone_control.lockstep.client.api", "logging.config", "rosgraph.ro
 _Peer = socket.socket
 
 
-class RequestError(Exception):
+class NodeRequestError(Exception):
     """A malformed request."""
 
 
 @dataclass(frozen=True)
-class Request:
+class NodeRequest:
     """A node to run.
 
     Attributes:
@@ -82,7 +82,7 @@ class _Node:
     """A forked node.
 
     Attributes:
-        connection: to its launcher.
+        connection: Connection to its launcher.
         pid: process and session id.
         watch: pidfd, readable after its end.
     """
@@ -92,7 +92,7 @@ class _Node:
     watch: int
 
 
-def receive(connection: _Peer) -> Request:
+def receive(connection: _Peer) -> NodeRequest:
     """Receive a launcher's request.
 
     Raises:
@@ -101,26 +101,26 @@ def receive(connection: _Peer) -> Request:
     """
     peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
     if struct.unpack("3i", peer)[1] != os.getuid():
-        raise RequestError("from another user")
+        raise NodeRequestError("from another user")
     connection.settimeout(_LIMIT)
     data, descriptors = _first_part(connection)
     try:
         while len(data) < _SIZES.size or len(data) < _SIZES.size + sum(_SIZES.unpack_from(data)):
             part = connection.recv(1 << 16)
             if not part or len(data) > _MOST:
-                raise RequestError("incomplete or too long")
+                raise NodeRequestError("incomplete or too long")
             data += part
         size, rest = _SIZES.unpack_from(data)
         words = data[_SIZES.size :]
         command, environment = words[:size], words[size : size + rest]
         if len(descriptors) != _DESCRIPTORS or not command.endswith(b"\0"):
-            raise RequestError("without a command or descriptors")
+            raise NodeRequestError("without a command or descriptors")
     except BaseException:
         for descriptor in descriptors:
             os.close(descriptor)
         raise
     connection.settimeout(None)
-    return Request(command.split(b"\0")[:-1], environment.split(b"\0")[:-1], descriptors)
+    return NodeRequest(command.split(b"\0")[:-1], environment.split(b"\0")[:-1], descriptors)
 
 
 def _first_part(connection: _Peer) -> tuple[bytes, list[int]]:
@@ -140,7 +140,7 @@ def imported_modules(script: Path) -> list[str]:
     left out: another script may import different ones of the same names.
     """
     tree = ast.parse(script.read_bytes())
-    relayed = _relayed(tree)
+    relayed = _relay_target(tree)
     if relayed:
         tree = ast.parse(Path(relayed).read_bytes())
     names = []
@@ -152,7 +152,7 @@ def imported_modules(script: Path) -> list[str]:
     return [name for name in names if not _is_beside(script, name.split(".")[0])]
 
 
-def _relayed(tree: ast.Module) -> str:
+def _relay_target(tree: ast.Module) -> str:
     """Return the path of the script that a relay of catkin executes; empty if ``script`` is not a relay."""
     for node in tree.body:
         match node:
@@ -234,7 +234,7 @@ class Zygote:
             return None
         try:
             request = receive(connection)
-        except (RequestError, OSError):
+        except (NodeRequestError, OSError):
             connection.close()
             return None
         script = Path(os.fsdecode(request.command[0]))
@@ -266,7 +266,7 @@ class Zygote:
             self.listener.accept()[0].close()
         self._spare = os.open(os.devnull, os.O_RDONLY)
 
-    def _fork(self, request: Request, script: Path, connection: _Peer, watch: int) -> Callable[[], None] | None:
+    def _fork(self, request: NodeRequest, script: Path, connection: _Peer, watch: int) -> Callable[[], None] | None:
         zygote = os.getpid()
         signal.pthread_sigmask(signal.SIG_BLOCK, _BLOCKED)
         gc.freeze()  # so that the garbage collector leaves the pages of these objects shared
@@ -395,7 +395,7 @@ def _kill(pid: int, number: int) -> None:
         os.kill(pid, number)
 
 
-def _become(request: Request, zygote: int, title: tuple[int, int], interrupt: Any) -> None:
+def _become(request: NodeRequest, zygote: int, title: tuple[int, int], interrupt: Any) -> None:
     """Give a forked process the properties that a process started for the node would have."""
     libc = ctypes.CDLL(None)
     libc.prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)

@@ -35,7 +35,7 @@ _INTERNAL = (
     "checked_vector",
     "report_missing",
     "_known_peers",
-    "_limited",
+    "_limit",
 )
 _ATTRIBUTES = ("offsets", "weights", "avoidance_vector", "options", "swarm", "id")
 _STAR: Mapping[int, float] = {0: 1.0}
@@ -60,7 +60,7 @@ class FollowerBatch:
         """Create a batch of followers that share one state of the swarm, or receive it over a network.
 
         Args:
-            followers: at least one, with different numbers.
+            followers: Followers, at least one, with different numbers.
             swarm: the ``swarm`` of all followers.
             network: instead of it, a network whose ``known`` is the ``swarm`` of each follower.
 

@@ -76,7 +76,7 @@ class Network:
     Attributes:
         count: number of vehicles N.
         options: the settings.
-        seed: of all random draws.
+        seed: Seed of all random draws.
         turn: number of the current turn, from 0; -1 before the first.
         air: the state in arrays, for the kernels.
     """
@@ -147,8 +147,8 @@ class Network:
         Raises:
             ValueError: another shape.
         """
-        x = self._checked("positions", positions)
-        v = self._checked("velocities", velocities)
+        x = self._check("positions", positions)
+        v = self._check("velocities", velocities)
         channel.begin_turn(self.air, x, v, self._made)
         self.turn = turn = int(self.air.turn[0])
         sent = self.air.sent[turn % len(self.air.sent)]
@@ -230,7 +230,7 @@ class Network:
         reached[0] = True
         return [int(i) for i in np.flatnonzero(~reached)]
 
-    def _checked(self, name: str, values: ArrayLike) -> NDArray[np.float64]:
+    def _check(self, name: str, values: ArrayLike) -> NDArray[np.float64]:
         array = np.ascontiguousarray(values, dtype=float)
         if array.shape != (self.count, 3):
             raise ValueError(f"network {name}: shape {array.shape} is not allowed, ({self.count}, 3)")

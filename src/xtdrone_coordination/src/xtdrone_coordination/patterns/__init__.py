@@ -2,7 +2,7 @@
 
 from .catalogue import Patterns, read_patterns, shipped_file
 from .generated import origin_columns
-from .names import Request, absolute_name, parse_name
+from .names import PatternRequest, absolute_name, parse_name
 from .slot_offsets_and_spacing import (
     DENSE_PITCH,
     MAX_SPACING,
@@ -23,8 +23,8 @@ __all__ = [
     "PITCH",
     "Offsets",
     "PatternError",
+    "PatternRequest",
     "Patterns",
-    "Request",
     "absolute_name",
     "check_offsets",
     "least_separation",

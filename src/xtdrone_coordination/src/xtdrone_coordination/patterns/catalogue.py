@@ -26,12 +26,12 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from xtdrone_control import bounded_file
+from xtdrone_control import files
 
 from .clouds import cloud
 from .generated import FAMILIES, SHAPES
 from .letters import text
-from .names import ARGUMENTS, Request, parse_name
+from .names import ARGUMENTS, PatternRequest, parse_name
 from .slot_offsets_and_spacing import DENSE_PITCH, PITCH, Offsets, PatternError, check_offsets, rescaled
 
 
@@ -106,19 +106,19 @@ class Patterns:
             raise PatternError(f"pattern {name!r} is unknown for {self.count} vehicles; there are: {self.describe()}")
         try:
             request = parse_name(name)
-            return self._shape(request if name in self._given else self._restricted(request))
+            return self._shape(request if name in self._given else self._restrict(request))
         except PatternError as error:
             raise PatternError(f"pattern {name!r}: {error}") from error
 
-    def _restricted(self, request: Request) -> Request:
+    def _restrict(self, request: PatternRequest) -> PatternRequest:
         """Return a request with resolved paths of its files, all of them inside the allowed folder."""
         if self._below is None:
             return request
         if request.kind == "cloud":
-            request = replace(request, argument=self._allowed(request.argument))
-        return request if request.font is None else replace(request, font=self._allowed(request.font))
+            request = replace(request, argument=self._resolve(request.argument))
+        return request if request.font is None else replace(request, font=self._resolve(request.font))
 
-    def _allowed(self, file: str) -> str:
+    def _resolve(self, file: str) -> str:
         if not self._below:
             raise PatternError(
                 f"{file}: no file may be read; name a folder of clouds and fonts when the leader starts (cloud_folder)"
@@ -129,7 +129,7 @@ class Patterns:
             raise PatternError(f"{file}: is not allowed, a file below {folder} is (cloud_folder)")
         return str(path)
 
-    def _shape(self, request: Request) -> Offsets:
+    def _shape(self, request: PatternRequest) -> Offsets:
         kind, spacing = request.kind, request.spacing
         if kind in self._tables or kind in FAMILIES:
             offsets = self._tables[kind] if kind in self._tables else FAMILIES[kind](self.count)
@@ -165,10 +165,10 @@ def read_patterns(file: Path, count: int) -> dict[str, Offsets]:
             0.5 m apart from each other and from the leader.
     """
     try:
-        data = bounded_file.load_yaml(bounded_file.read_text(file))
+        data = files.load_yaml(files.read_text(file))
     except OSError as error:
         raise PatternError(f"pattern file {file}: {error.strerror or error}") from error
-    except bounded_file.ContentError as error:
+    except files.ContentError as error:
         raise PatternError(f"pattern file {file} is not YAML: {error}") from error
     if not isinstance(data, Mapping):
         raise PatternError(f"pattern file {file}: must be {{number of vehicles: {{name: offsets}}}}")

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from xtdrone_control import bounded_file
-from xtdrone_control.bounded_file import ContentError
+from xtdrone_control import files
+from xtdrone_control.files import ContentError
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import ALL_AS_HIGH, Points, choose_leader, farthest
 
-from .even_selection_and_leader import ALL_AS_HIGH, Points, farthest, led
 from .slot_offsets_and_spacing import Offsets, PatternError, rescaled
 
-MAX_CLOUD_FILE = 16 * bounded_file.MB
+MAX_CLOUD_FILE = 16 * files.MB
 MAX_TEXT_POINTS = 500_000  # of a cloud whose file is text
 
 _SEED = 0
@@ -48,7 +48,7 @@ def cloud(count: int, spacing: float, file: str) -> Offsets:
     chosen = points[farthest(points, count)]
     if len(chosen) < count:
         raise PatternError(f"cloud {file}: {len(chosen)} different points, {count} vehicles need at least {count}")
-    return rescaled(led(chosen, ALL_AS_HIGH), spacing)
+    return rescaled(choose_leader(chosen, ALL_AS_HIGH), spacing)
 
 
 def read_cloud(file: Path) -> Points:
@@ -66,7 +66,7 @@ def read_cloud(file: Path) -> Points:
     """
     readers = {".ply": _read_ply, ".npy": _read_npy}
     try:
-        points = readers.get(file.suffix.lower(), _read_table)(bounded_file.read_bytes(file, MAX_CLOUD_FILE))
+        points = readers.get(file.suffix.lower(), _read_table)(files.read_bytes(file, MAX_CLOUD_FILE))
     except (OSError, ContentError) as error:
         raise PatternError(f"cloud {file}: {getattr(error, 'strerror', None) or error}") from error
     if not len(points):

@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .even_selection_and_leader import from_middle, led
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import choose_leader, distance_from_middle
+
 from .slot_offsets_and_spacing import PITCH, Offsets, rescaled
 
 _SPHERE_SHIFT = 0.36  # of a step: distance of the lattice's ends from the poles for the largest minimum distance
@@ -64,8 +65,8 @@ def grid(count: int, spacing: float) -> Offsets:
     """Return a level square grid: the ``count`` places nearest to its middle, where the leader is."""
     side = math.ceil(math.sqrt(count))
     cells = np.array([(column, -row, 0.0) for row in range(side) for column in range(side)], dtype=float)
-    nearest_first = np.argsort(from_middle(cells), kind="stable")
-    return led(spacing * cells[np.sort(nearest_first[:count])])
+    nearest_first = np.argsort(distance_from_middle(cells), kind="stable")
+    return choose_leader(spacing * cells[np.sort(nearest_first[:count])])
 
 
 def circle(count: int, spacing: float) -> Offsets:
@@ -86,7 +87,7 @@ def sphere(count: int, spacing: float) -> Offsets:
     height = 1.0 - 2.0 * (index + _SPHERE_SHIFT) / (count - 1 + 2.0 * _SPHERE_SHIFT)
     radius, angle = np.sqrt(1.0 - height**2), _GOLDEN_ANGLE * index
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
-    return rescaled(led(points), spacing)
+    return rescaled(choose_leader(points), spacing)
 
 
 FAMILIES: dict[str, Callable[[int], Offsets]] = {

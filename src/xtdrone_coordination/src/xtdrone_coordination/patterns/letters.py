@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control import bounded_file
+from xtdrone_control import files
+from xtdrone_coordination.patterns.slot_offsets_and_spacing import ALL_AS_HIGH, Points, choose_leader, farthest
 
-from .even_selection_and_leader import ALL_AS_HIGH, Points, farthest, led
 from .slot_offsets_and_spacing import Offsets, PatternError, rescaled
 
 MAX_LETTERS = 100  # of a text
-MAX_FONT_FILE = 64 * bounded_file.MB
+MAX_FONT_FILE = 64 * files.MB
 
 _GAP = 0.35  # between two letters, of the letters' height; more than in print, as slots lie farther apart than ink
 _BLANK = 0.6  # width of a space, of the letters' height
@@ -44,7 +44,7 @@ def text(count: int, spacing: float, words: str, font: str | None = None) -> Off
     """
     outline = _outline(words, font)
     picture, pitch = _picture(outline, 1.0 / _COARSE)
-    area, strokes = float(picture.sum()), _thinned(picture)
+    area, strokes = float(picture.sum()), _thin(picture)
     length = max(float(strokes.sum()), 1.0)
     # a stroke is area / length wide; filled vehicles stand sqrt(area / (0.866 count)) apart
     if area / length >= _FILLED * math.sqrt(area / (0.866 * count)) or length < 8 * count:
@@ -55,7 +55,7 @@ def text(count: int, spacing: float, words: str, font: str | None = None) -> Off
         places = _places(strokes, pitch)
     flat = places[farthest(places, count)]
     points = np.stack([flat[:, 0], np.zeros(count), flat[:, 1]], axis=1)
-    return rescaled(led(points, ALL_AS_HIGH), spacing)
+    return rescaled(choose_leader(points, ALL_AS_HIGH), spacing)
 
 
 def _outline(words: str, font: str | None) -> list[Points]:
@@ -94,7 +94,7 @@ def _font_file(words: str, font: str | None) -> str:
 
     file = font or str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
     try:
-        bounded_file.check(file, MAX_FONT_FILE)
+        files.check(file, MAX_FONT_FILE)
         known = get_font(file).get_charmap()
     except (OSError, RuntimeError) as error:
         raise PatternError(f"font {file}: {getattr(error, 'strerror', None) or error}") from error
@@ -126,7 +126,7 @@ def _picture(outline: list[Points], pixel: float) -> tuple[NDArray[np.bool_], fl
     return np.cumsum(winding, axis=1)[:, :columns] != 0, pixel
 
 
-def _thinned(picture: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _thin(picture: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the centre lines of the strokes, one pixel wide (T. Y. Zhang and C. Y. Suen, CACM 27-3, 1984)."""
     left = picture.copy()
     while True:

@@ -15,7 +15,7 @@ _OPTION = re.compile(r"[a-z_]+=")
 
 
 @dataclass(frozen=True)
-class Request:
+class PatternRequest:
     """A parsed name of a pattern.
 
     Attributes:
@@ -38,7 +38,7 @@ class Request:
         return ":".join(parts)
 
 
-def parse_name(name: str) -> Request:
+def parse_name(name: str) -> PatternRequest:
     """Parse the name of a pattern without checking that the pattern exists.
 
     Raises:
@@ -64,7 +64,7 @@ def parse_name(name: str) -> Request:
         if option not in allowed:
             raise PatternError(f"option {option!r} is unknown for {kind}; there are: {', '.join(allowed)}")
     spacing = _spacing(given["spacing"]) if "spacing" in given else None
-    return Request(kind, argument, spacing, given.get("font"))
+    return PatternRequest(kind, argument, spacing, given.get("font"))
 
 
 def absolute_name(name: str) -> str:

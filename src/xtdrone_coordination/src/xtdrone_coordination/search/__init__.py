@@ -1,0 +1,1 @@
+"""Cooperative search: ``mission_control`` decides, ``search_node`` connects it to ROS."""

@@ -92,12 +92,12 @@ class AssignedMission:
             left.insert(0, Waypoint(x, y, left[0].heading))
         return left
 
-    def extended(self, part: list[Waypoint], *, restart: bool) -> tuple[Items, int]:
+    def extend(self, part: list[Waypoint], *, restart: bool) -> tuple[Items, int]:
         """Return the mission with a part of another vehicle's path appended, and the item to continue with.
 
         Args:
             part: waypoints to append.
-            restart: for a landed vehicle: drop the own path, keep the items before it and fly ``part`` alone.
+            restart: Whether the vehicle has landed: drop the own path, keep the items before it and fly ``part`` alone.
         """
         first = self.path[0][0] if self.path else len(self.items)
         added = tuple(waypoint_item(waypoint, self.height, self._datum) for waypoint in part)

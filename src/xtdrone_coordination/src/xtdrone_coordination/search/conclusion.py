@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from .coverage_map import CoverageMap
-from .losses.reallocation import Reallocation
+from .losses import Reallocation
 from .people.candidates import Candidate
 from .reports import Find, outcome_report, possible_report
 from .searching_vehicle import BUSY, DONE, State, Vehicle

@@ -23,24 +23,20 @@ from xtdrone_control.autopilot.navigator.plan import Items
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.geodesy.datum import Datum
 
-from .actions import Action, Position, PushMission
 from .conclusion import Conclusion
 from .coverage_map import CoverageMap
-from .losses.lost_vehicles import Losses
-from .losses.reallocation import Reallocation
+from .losses import Losses, Reallocation
 from .people.association import Association
 from .people.candidates import Candidate, Sighting
 from .people.dispatch import Dispatch
 from .people.finds import Finds
 from .reports import Event, make_event, progress_report
 from .search_settings import MissionSettings
-from .searching_vehicle import DONE, SecondLook, State, Vehicle
+from .searching_vehicle import DONE, Action, Position, PushMission, SecondLook, State, Vehicle
 from .states.common_supervision import VehicleState, because
+from .states.flown_by_autopilot import Holding, Returning, Searching, TakingOff, Waiting
 from .states.following import FollowingPerson
-from .states.on_ground import TakingOff, Waiting
-from .states.rejoining import Rejoining
-from .states.returning import Holding, Returning
-from .states.searching import Searching
+from .states.offboard_heights_and_setpoints import Rejoining
 from .states.second_look import TakingSecondLook
 
 _MAX_PUSHES = 8
@@ -51,7 +47,7 @@ class SearchMission:
 
     Attributes:
         settings: see :class:`MissionSettings`.
-        vehicles: by name.
+        vehicles: Vehicles by name.
         candidates: all possible persons seen so far.
         coverage: part of the region seen so far.
         now: time of the current step, s.
@@ -63,8 +59,8 @@ class SearchMission:
         """Create the vehicles, waiting.
 
         Args:
-            names: of the vehicles, at least one.
-            region: to search, m ENU.
+            names: Names of the vehicles, at least one.
+            region: Region to search, m ENU.
             camera: intrinsics, the same for all vehicles.
             settings: see :class:`MissionSettings`.
             datum: origin of the map frame.
@@ -150,8 +146,8 @@ class SearchMission:
         """Process the detections of an image.
 
         Args:
-            name: of the vehicle.
-            time: of the exposure, s.
+            name: Name of the vehicle.
+            time: Time of the exposure, s.
             position: (3,) of the camera, m, map.
             rotation: (3, 3) from the optical frame to the map frame.
             sightings: tracks of the camera; those with probability 0 are not in this image.

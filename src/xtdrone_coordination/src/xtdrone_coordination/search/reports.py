@@ -44,8 +44,8 @@ class Find:
     Attributes:
         vehicle: name of the finder.
         position: m ENU.
-        covariance: of the position: xx, xy, yx, yy, m^2.
-        time: of the newest image at the confirmation, s.
+        covariance: Covariance of the position: xx, xy, yx, yy, m^2.
+        time: Time of the newest image at the confirmation, s.
     """
 
     vehicle: str
@@ -62,7 +62,7 @@ def make_event(name: str, time: float, vehicle: Vehicle | None, fields: dict[str
     return {**event, **fields}
 
 
-def rounded_xy(position: Sequence[float]) -> list[float]:
+def round_xy(position: Sequence[float]) -> list[float]:
     """Return x and y of a position, rounded to mm."""
     return [round(float(position[0]), 3), round(float(position[1]), 3)]
 
@@ -73,8 +73,8 @@ def progress_report(
     """Return the progress of a search: phase, a line of text, state of each vehicle, covered fraction.
 
     Args:
-        vehicles: by name.
-        coverage: of the region.
+        vehicles: Vehicles by name.
+        coverage: Coverage of the region.
         now: s.
         started: whether a vehicle has armed.
         ending: whether all vehicles have been sent home.
@@ -108,7 +108,7 @@ def outcome_report(find: Find | None, failed: bool, coverage: CoverageMap) -> di
     return {
         "outcome": "found" if find else "failed" if failed else "not found",
         "vehicle": find.vehicle if find else None,
-        "position": rounded_xy(find.position) if find else None,
+        "position": round_xy(find.position) if find else None,
         "covariance": list(find.covariance) if find else None,
         "found_time": round(find.time, 3) if find else None,
         "covered_area": round(coverage.area, 1),
@@ -121,7 +121,7 @@ def possible_report(candidates: Iterable[Candidate], least_hits: int) -> list[di
     """Return the unconfirmed candidates with at least ``least_hits`` images."""
     return [
         {
-            "position": rounded_xy(candidate.position),
+            "position": round_xy(candidate.position),
             "probability": round(candidate.probability, 3),
             "hits": candidate.pictures,
             "vehicles": sorted(candidate.hits),

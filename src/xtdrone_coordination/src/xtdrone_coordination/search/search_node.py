@@ -52,14 +52,13 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.programs.under_roslaunch import end_launch
 
-from . import actions
-from .actions import Action
 from .coverage_map import CoverageGrid
 from .mission_control import SearchMission
 from .people.candidates import Sighting
 from .planning.plans import DatumSettings
 from .planning.region import RegionError, read_region
 from .search_settings import MissionSettings
+from .searching_vehicle import Action, Arm, Follow, GoTo, PointCamera, PushMission, RequestMode, SetReturnHeight
 from .searching_vehicle import State as VehicleState
 
 EVENT_TOPIC = "/xtdrone/search/event"
@@ -117,7 +116,7 @@ class VehicleLink:
         """Declare the topics.
 
         Args:
-            name: as ``typhoon_h480_0``.
+            name: Name such as ``typhoon_h480_0``.
             node: receives the messages.
             in_lockstep: see :class:`Calls`.
         """
@@ -151,11 +150,11 @@ class VehicleLink:
     def execute(self, action: Action, on_result: Callable[[Action, bool, str], None]) -> None:
         """Carry out an action; ``on_result`` receives the result of a service call."""
         match action:
-            case actions.GoTo():
+            case GoTo():
                 self._setpoint.publish(_pose(action))
-            case actions.Follow(track=track):
+            case Follow(track=track):
                 self._follow.publish(Int32(data=track))
-            case actions.PointCamera(pitch=pitch):
+            case PointCamera(pitch=pitch):
                 self._mount.publish(MountControl(mode=MountControl.MAV_MOUNT_MODE_MAVLINK_TARGETING, pitch=pitch))
             case _:
                 self.calls.submit(partial(self._call, action), lambda outcome: on_result(action, *outcome))
@@ -166,13 +165,13 @@ class VehicleLink:
 
     def _call(self, action: Action) -> Outcome:
         match action:
-            case actions.SetMode(mode=mode):
+            case RequestMode(mode=mode):
                 return self._outcome(lambda: bool(self._services[SetMode](0, mode).mode_sent))
-            case actions.Arm():
+            case Arm():
                 return self._outcome(lambda: bool(self._services[CommandBool](True).success))
-            case actions.PushMission(items=items, current=current):
+            case PushMission(items=items, current=current):
                 return self._outcome(partial(self._push, items, current))
-            case actions.SetReturnHeight(height=height):
+            case SetReturnHeight(height=height):
                 value = ParamValue(integer=0, real=height)
                 return self._outcome(lambda: bool(self._services[ParamSet]("RTL_RETURN_ALT", value).success))
             case _:
@@ -337,7 +336,7 @@ def _now() -> float:
     return float(rospy.Time.now().to_sec())
 
 
-def _pose(action: actions.GoTo) -> Pose:
+def _pose(action: GoTo) -> Pose:
     pose = Pose()
     pose.position.x, pose.position.y, pose.position.z = action.position
     pose.orientation.z, pose.orientation.w = math.sin(0.5 * action.yaw), math.cos(0.5 * action.yaw)

@@ -7,12 +7,77 @@ import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+from xtdrone_control.autopilot.navigator.plan import Items
 from xtdrone_control.geodesy.datum import Datum
 
-from .actions import Position
 from .assigned_mission import AssignedMission
 from .people.candidates import Candidate, Evidence
 from .planning.coverage_path import Point
+
+MISSION, OFFBOARD, LOITER, RTL, LAND = "AUTO.MISSION", "OFFBOARD", "AUTO.LOITER", "AUTO.RTL", "AUTO.LAND"
+
+Position = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RequestMode:
+    """Request a flight mode."""
+
+    vehicle: str
+    mode: str
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Arm a vehicle."""
+
+    vehicle: str
+
+
+@dataclass(frozen=True)
+class PushMission:
+    """Upload a mission and continue with item ``current``."""
+
+    vehicle: str
+    items: Items
+    current: int
+
+
+@dataclass(frozen=True)
+class GoTo:
+    """Publish a position setpoint; yaw in rad from east."""
+
+    vehicle: str
+    position: Position
+    yaw: float
+
+
+@dataclass(frozen=True)
+class Follow:
+    """Follow a track of the vehicle's camera; -1 stops."""
+
+    vehicle: str
+    track: int
+
+
+@dataclass(frozen=True)
+class PointCamera:
+    """Point a vehicle's camera ahead at a pitch, deg, negative down."""
+
+    vehicle: str
+    pitch: float
+
+
+@dataclass(frozen=True)
+class SetReturnHeight:
+    """Set the minimum height of a vehicle's return, m over home; different heights keep returning vehicles apart."""
+
+    vehicle: str
+    height: float
+
+
+Action = RequestMode | Arm | PushMission | GoTo | Follow | PointCamera | SetReturnHeight
+
 
 _AIRBORNE = 1.5  # m over home
 
@@ -55,13 +120,13 @@ class SecondLook:
         candidate: the candidate.
         came_from: state before the look, resumed after it.
         left_at: where the vehicle left its path, m ENU.
-        heading: of the vehicle there, rad from east.
-        angle: of the vehicle on the circle around the candidate, rad from east.
+        heading: Heading of the vehicle there, rad from east.
+        angle: Angle of the vehicle on the circle around the candidate, rad from east.
         begun: time, s.
         takes_over: remaining time of the following that this look is to take over, s; None for a first look.
         stage: see :class:`LookStage`.
         turned: arc flown on the circle, rad.
-        evidence: of the images so far.
+        evidence: Evidence of the images so far.
     """
 
     candidate: Candidate
@@ -123,8 +188,8 @@ class Vehicle:
     """Telemetry, mission and state of a vehicle. Times are s, positions m in the map frame (ENU).
 
     Attributes:
-        name: as ``typhoon_h480_0``.
-        index: in the fleet, from 0.
+        name: Name such as ``typhoon_h480_0``.
+        index: Index in the fleet, from 0.
         state, since: current state and when it was entered.
         position, yaw: None before the first pose; rad from east.
         home: position before takeoff.
@@ -138,7 +203,7 @@ class Vehicle:
         camera_works: whether its images are new ones.
         blind: whether its camera has failed during the search.
         look, following: see :class:`SecondLook`, :class:`Following`; None in other states.
-        setpoint: of a second look.
+        setpoint: Position setpoint of a second look.
     """
 
     def __init__(self, name: str, index: int, datum: Datum) -> None:

@@ -32,7 +32,7 @@ from mavros_msgs.msg import State
 from std_msgs.msg import String
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.commands import Request
+from xtdrone_control.communication.commands import CommandRequest
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_interaction.crossing.crossing_mission import TASKS, Crossing, CrossingSettings
 from xtdrone_interaction.formation.flight_events import EVENTS_FILE, EventsFile
@@ -154,7 +154,7 @@ class CrossingDirector:
             if command == "GOAL":
                 self._send_goal(crossing, crossing.goal)
             else:
-                self._services[crossing.name].submit(Request(command, True if command == "ARM" else None))
+                self._services[crossing.name].submit(CommandRequest(command, True if command == "ARM" else None))
         for request, accepted, reason in self._services[crossing.name].finished():
             if not accepted:
                 rospy.loginfo(f"{crossing.name}: {request.command} was rejected ({reason or 'not yet ready'})")

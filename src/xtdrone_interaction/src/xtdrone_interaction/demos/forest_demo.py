@@ -13,17 +13,12 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from xtdrone_control.files import write_whole
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.lockstep.simulation_speed import speed_setting
+from xtdrone_control.programs.node_command_line import speed_setting
 from xtdrone_control.settings import Settings, setting
-from xtdrone_control.whole_file import write_whole
 from xtdrone_interaction.command_options import seed_setting, web_setting
-from xtdrone_interaction.demos.directed_flight import (
-    directed_flight,
-    planning_times,
-    show_landing,
-    stored_settings,
-)
+from xtdrone_interaction.demos.directed_flight import directed_flight, planning_times, show_landing, stored_settings
 from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.clearance import Solid, solids_of
 from xtdrone_interaction.metrics.missions.crossing_metrics import make_report

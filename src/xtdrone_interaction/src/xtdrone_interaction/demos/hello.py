@@ -13,19 +13,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.syntax import Syntax
 
-from xtdrone_control.lockstep.simulation_speed import speed_setting
+from xtdrone_control.programs.node_command_line import speed_setting
 from xtdrone_control.settings import Settings
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import MachineSettings, OptionError, seed_setting, web_setting
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.launching.flown_script import fly_script
-from xtdrone_interaction.launching.supervised_launch import (
-    DemoError,
-    Launch,
-    master_port,
-    run_launch,
-    watching,
-)
+from xtdrone_interaction.launching.supervised_launch import DemoError, Launch, master_port, run_launch, watching
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 
 FLEET = "iris:1"

@@ -16,7 +16,7 @@ from typing import Any
 
 from rich.console import Console
 
-from xtdrone_control.lockstep.simulation_speed import speed_setting
+from xtdrone_control.programs.node_command_line import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import MachineSettings, OptionError, seed_setting, web_setting

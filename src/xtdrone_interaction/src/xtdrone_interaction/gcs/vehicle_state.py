@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 
 TELEMETRY = (
     "HEARTBEAT",

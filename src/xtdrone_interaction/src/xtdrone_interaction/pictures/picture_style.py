@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from xtdrone_control.whole_file import replacing
+from xtdrone_control.files import replacing
 from xtdrone_interaction.recording.series_in_bounded_memory import Array
 
 _POINTS = 4000  # drawn per line; longer lines are reduced to the minimum and maximum of each part
@@ -79,7 +79,7 @@ def save_figure(figure: Figure, path: Path, **options: Any) -> None:
 
     Raises:
         ValueError: Matplotlib does not know the suffix.
-        OSError: see ``whole_file.replacing``.
+        OSError: see ``files.replacing``.
     """
     try:
         with replacing(path) as draft:

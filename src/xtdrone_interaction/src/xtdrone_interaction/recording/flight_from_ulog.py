@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyulog import ULog
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.rotation_arrays import to_euler
 from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series, armed_span
 

@@ -19,8 +19,7 @@ from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from xtdrone_coordination.laws.assignment import Assignment
-from xtdrone_coordination.leader import Leader
+from xtdrone_coordination.leader import Assignment, Leader
 from xtdrone_interaction.formation.distances import Array, relative
 from xtdrone_interaction.metrics.missions.formation_metrics import measure
 from xtdrone_interaction.recording.missions.formation_record import FormationRecord, PatternWindow

@@ -11,7 +11,7 @@ import jinja2
 from rich.console import Console
 from rich.markup import escape
 
-from xtdrone_control.whole_file import write_whole
+from xtdrone_control.files import write_whole
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures

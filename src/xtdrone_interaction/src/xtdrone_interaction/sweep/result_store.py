@@ -19,7 +19,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from xtdrone_control.whole_file import replacing
+from xtdrone_control.files import replacing
 from xtdrone_interaction.command_options import OptionError
 
 FORMAT = 2  # of runs.sqlite; 1 was a folder of Parquet files

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from xtdrone_control.shortened_text import shortened
+from xtdrone_control.files import shortened
 
 LONGEST_NAME = 255
 """Characters of a name."""

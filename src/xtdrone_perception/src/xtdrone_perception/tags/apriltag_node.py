@@ -33,8 +33,8 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
-from xtdrone_control.bounded_file import ContentError
 from xtdrone_control.cameras.camera_pose import CameraPose
+from xtdrone_control.files import ContentError
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.pose_history import PoseHistory
 from xtdrone_control.programs.node_command_line import ArgumentError

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.programs.user_module import import_user_module
+from xtdrone_control.programs.user_classes import import_user_module
 from xtdrone_control.rotation_kernels import rotate, rotate_inverse
 from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_sim.kernel import kernel

@@ -24,8 +24,7 @@ from rosgraph_msgs.msg import Clock
 
 from xtdrone_control import kernel_cache, lockstep
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.programs.log_output import survive_full_disk
-from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_control.programs.plain_node import init_plain_node, survive_full_disk
 from xtdrone_control.programs.under_roslaunch import announce, end_launch
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.mailbox import Mailbox

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import MB, read_bytes
 from xtdrone_control.cameras import camera_pose
+from xtdrone_control.files import MB, read_bytes
 from xtdrone_control.poses import Pose
 from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Sphere
 

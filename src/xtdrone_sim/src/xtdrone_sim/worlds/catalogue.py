@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import ContentError, load_yaml
+from xtdrone_control.files import ContentError, load_yaml
 from xtdrone_control.settings import SettingError, Settings
 from xtdrone_sim.data_files import cached_folder
 from xtdrone_sim.descriptions import ModelError

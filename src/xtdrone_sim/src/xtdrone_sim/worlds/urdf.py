@@ -23,7 +23,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, read_text
+from xtdrone_control.files import MB, MOST_VALUES, ContentError, read_text
 from xtdrone_control.poses import Pose, compose, rotate
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.data_files import package_folder

@@ -1,0 +1,1 @@
+"""Simplified vehicles: kinematics of first and second order, an autopilot, and their node."""

@@ -31,26 +31,18 @@ from functools import partial
 from typing import Any, Protocol
 
 import rospy
-from geometry_msgs.msg import Pose, PoseStamped, Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from mavros_msgs.msg import ExtendedState, PositionTarget, State
-from mavros_msgs.srv import (
-    CommandBool,
-    CommandBoolResponse,
-    CommandTOL,
-    CommandTOLResponse,
-    SetMode,
-    SetModeResponse,
-)
+from mavros_msgs.srv import CommandBool, CommandBoolResponse, CommandTOL, CommandTOLResponse, SetMode, SetModeResponse
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
-from xtdrone_control import lockstep
-from xtdrone_control.autopilot import modes
+from xtdrone_control import lockstep, modes
 from xtdrone_control.autopilot.commander.offboard_setpoint import CommandStart
 from xtdrone_control.communication.commands import MultirotorCore
-from xtdrone_control.communication.multirotor import RosLog
+from xtdrone_control.communication.multirotor import RosLog, subscribe_commands
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint, Vector
-from xtdrone_control.mavros.lib.px4_modes import ModeError, mode_name, mode_number
 from xtdrone_control.mavros.swarm_state_topic import FIELDS, TOPIC
+from xtdrone_control.modes import ModeError, mode_name, mode_number
 from xtdrone_sim.mailbox import ClosedError, Mailbox
 from xtdrone_swarm.simplified.setpoints import SetpointError, Start, wanted
 from xtdrone_swarm.swarm_vehicles import HOLD, Vehicles
@@ -130,7 +122,7 @@ class VehicleTopics:
         self._velocity.header.frame_id = "base_link"
         # Subscribed first, so that the source of control is known before a command of the same tick.
         lockstep.Subscriber(f"{base}/setpoint_raw/local", PositionTarget, self._on_target)
-        self._subscribe_commands(f"/xtdrone/{name}")
+        subscribe_commands(f"/xtdrone/{name}", self._core, self._on_command, self._look, lambda: self._commanded)
         for service, kind, handler in (
             ("cmd/arming", CommandBool, self._arm),
             ("set_mode", SetMode, self._set_mode),
@@ -139,17 +131,6 @@ class VehicleTopics:
         ):
             rospy.Service(f"{base}/{service}", kind, handler)
         self.restart()
-
-    def _subscribe_commands(self, base: str) -> None:
-        lockstep.Subscriber(f"{base}/cmd", String, self._on_command)
-        for frame, body in (("enu", False), ("flu", True)):
-            for kind, message, callback in (
-                ("pose", Pose, self._on_target_pose),
-                ("vel", Twist, self._on_target_velocity),
-                ("accel", Twist, self._on_target_acceleration),
-            ):
-                topic = f"{base}/cmd_{kind}_{frame}"
-                lockstep.Subscriber(topic, message, partial(callback, topic, body))
 
     def restart(self) -> None:
         """Reset all inputs and the record of published states, as at the start."""
@@ -306,27 +287,6 @@ class VehicleTopics:
         refusal = self._vehicles.command(self._index, request.command)
         self._core.on_result(request, not refusal, refusal, now)
         self._core.on_state(self._vehicles.mode[self._index], bool(self._vehicles.armed[self._index]))
-
-    def _on_target_pose(self, topic: str, body: bool, message: Pose) -> None:
-        if not self._commanded:
-            return
-        self._look()
-        p, q = message.position, message.orientation
-        self._core.on_target_pose(topic, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), body=body)
-
-    def _on_target_velocity(self, topic: str, body: bool, message: Twist) -> None:
-        if not self._commanded:
-            return
-        linear = message.linear
-        vector = (linear.x, linear.y, linear.z)
-        self._core.on_target_velocity(topic, vector, message.angular.z, self._look(), body=body)
-
-    def _on_target_acceleration(self, topic: str, body: bool, message: Twist) -> None:
-        if not self._commanded:
-            return
-        linear = message.linear
-        vector = (linear.x, linear.y, linear.z)
-        self._core.on_target_acceleration(topic, vector, message.angular.z, self._look(), body=body)
 
     # services; their handlers run in rospy's threads
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.communication.commands import HOVER_SPEED, HOVER_YAW_RATE, OWN_COMMANDS
+from xtdrone_control.modes import PX4_MODES
 from xtdrone_control.rotation import wrap_pi
 from xtdrone_coordination.patterns import PITCH, origin_columns
 from xtdrone_swarm.simplified import simplified_autopilot
@@ -71,8 +71,8 @@ class SimplifiedVehicles:
         self.model = load_model(kind, model)
         self.step_us = rate_step_us
         self._dead_zone = -1.0 if hover_speed is None else float(hover_speed)
-        self._places = spawn_places(count) if places is None else checked_places(places, count)
-        self._headings = np.zeros(count) if headings is None else checked_headings(headings, count)
+        self._places = spawn_places(count) if places is None else check_places(places, count)
+        self._headings = np.zeros(count) if headings is None else check_headings(headings, count)
         self._airborne = airborne
         self._record = self.model.record(rate_step_us)
         depth = int(self._record["delay"].max()) + 1
@@ -108,7 +108,7 @@ class SimplifiedVehicles:
         """Put one vehicle back, on the ground and disarmed; the others are not affected.
 
         Args:
-            index: of the vehicle.
+            index: Index of the vehicle.
             place: where it then stands, (x, y, z), m ENU; None: where it started, in its initial state.
             heading: rad; None: the initial one.
         """
@@ -283,7 +283,7 @@ def spawn_places(count: int) -> Array:
     return np.column_stack([PITCH * (index % columns), PITCH * (index // columns + 1), np.zeros(count)])
 
 
-def checked_places(places: ArrayLike, count: int) -> Array:
+def check_places(places: ArrayLike, count: int) -> Array:
     """Return ``places`` as an array of shape (count, 3).
 
     Raises:
@@ -300,7 +300,7 @@ def checked_places(places: ArrayLike, count: int) -> Array:
     return array
 
 
-def checked_headings(headings: ArrayLike, count: int) -> Array:
+def check_headings(headings: ArrayLike, count: int) -> Array:
     """Return ``headings`` in -pi..pi as an array of shape (count,).
 
     Raises:

@@ -125,17 +125,17 @@ def load_model(kind: str, model: Model | str | None = None) -> Model:
     described = read_description("vehicles", kind).get(SECTION)
     if described is None:
         raise ModelError(f"vehicle {kind!r} has no section {SECTION!r}: give a model, as Model(order=1)")
-    base = _replaced(Model(), described, f"vehicle {kind!r}, section {SECTION!r}")
+    base = _replace(Model(), described, f"vehicle {kind!r}, section {SECTION!r}")
     if model is None:
         return base
     if isinstance(model, str) and model in ORDERS:
         return replace(base, order=ORDERS[model])
     if isinstance(model, str) and model.endswith((".yaml", ".yml")):
-        return _replaced(base, read_description("vehicles", model), model)
+        return _replace(base, read_description("vehicles", model), model)
     raise ModelError(f"model {model!r} is not known; {', '.join(ORDERS)}, a YAML file's name or a Model")
 
 
-def _replaced(base: Model, values: Any, source: str) -> Model:
+def _replace(base: Model, values: Any, source: str) -> Model:
     if not isinstance(values, Mapping):
         raise ModelError(f"{source}: a mapping is needed, got {type(values).__name__}")
     known = [field.name for field in fields(Model)]

@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,26 +42,13 @@ class FilmError(ValueError):
     """A film that cannot be written."""
 
 
-class _Encoder(Protocol):
-    """Writes pictures into a file."""
-
-    def add(self, picture: Picture) -> None:
-        """Append a picture, RGBA, shape (height, width, 4); the array may be reused."""
-
-    def finish(self) -> None:
-        """Complete the file."""
-
-    def abandon(self) -> None:
-        """Stop and leave the file incomplete."""
-
-
 class FilmWriter:
     """A film written picture by picture.
 
     The context manager finishes the film, also after Ctrl-C, and discards it after any other exception.
 
     Attributes:
-        path: of the finished film.
+        path: Path of the finished film.
         frames: number of pictures so far.
         only_last: whether only the last picture is used, as for a PNG.
     """
@@ -72,7 +59,7 @@ class FilmWriter:
         """Start a film, which replaces the file at ``path`` when it is finished.
 
         Args:
-            path: with the suffix .mp4, .gif or .png.
+            path: Path with the suffix .mp4, .gif or .png.
             size: width and height of the pictures, pixels.
             fps: pictures per second.
             view: view that draws the pictures; a GIF uses its colours.
@@ -92,7 +79,7 @@ class FilmWriter:
         os.close(handle)
         self._part = Path(name)
         self._part.chmod(0o666 & ~_umask())
-        self._encoder: _Encoder
+        self._encoder: _Mp4 | _Gif | _Png
         try:
             if kind == ".mp4":
                 self._encoder = _Mp4(self._part, size, fps)
@@ -187,11 +174,11 @@ def film(
 
     Args:
         frames: states, ``1 / fps`` apart for a film in real time; a generator may simulate the flight meanwhile.
-        path: with the suffix .mp4, .gif or .png (a picture of the last state with trails).
+        path: Path with the suffix .mp4, .gif or .png (a picture of the last state with trails).
         fps: pictures per second.
         progress: whether to show a progress bar, or the console on which to show it.
         view: view that draws the frames; by default a new one for the first frame.
-        names: of the vehicles for a new view; by default ``uav_0``, ``uav_1``, ...
+        names: Names of the vehicles for a new view; by default ``uav_0``, ``uav_1``, ...
         total: number of frames for the progress bar, if ``frames`` has no length.
         options: options of a new :class:`SwarmView`: slots, edges, trails, size.
 
@@ -231,7 +218,7 @@ def shown(frames: Iterable[Frame], total: int | None, text: str, progress: bool 
     """Yield the frames and show the progress: a bar on a terminal, otherwise a line every few seconds.
 
     Args:
-        frames: to be yielded.
+        frames: Frames to be yielded.
         total: number of frames; None if unknown.
         text: description of the work.
         progress: False for no output; or the console.

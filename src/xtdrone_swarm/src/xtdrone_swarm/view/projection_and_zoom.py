@@ -86,7 +86,7 @@ class FollowingBox:
         if self._edges is None or elapsed < 0.0:
             self._edges = target
         else:
-            self._edges = _eased(self._edges, target, elapsed)
+            self._edges = _ease(self._edges, target, elapsed)
         return Box(self._edges[0].copy(), self._edges[1].copy())
 
 
@@ -110,7 +110,7 @@ def _target(points: Array) -> Array | None:
     return edges
 
 
-def _eased(edges: Array, target: Array, elapsed: float) -> Array:
+def _ease(edges: Array, target: Array, elapsed: float) -> Array:
     """Return the edges after ``elapsed`` s of motion to the target; growth is faster than shrinkage."""
     slack = _SLACK * float((target[1] - target[0]).max())
     grow, shrink = (1.0 - math.exp(-elapsed / constant) for constant in (_GROW, _SHRINK))

@@ -141,7 +141,7 @@ class SwarmView:
         Raises:
             ValueError: an array has a wrong shape, or an edge refers to a vehicle that does not exist.
         """
-        frame = _checked(frame, len(self.names))
+        frame = _check(frame, len(self.names))
         if self._frame is not None and frame.time < self._frame.time:
             self._past.clear()
             self._sampled = -np.inf
@@ -204,7 +204,7 @@ class SwarmView:
         return self._shown_box
 
 
-def _checked(frame: Frame, count: int) -> Frame:
+def _check(frame: Frame, count: int) -> Frame:
     """Return a frame with copied arrays of validated shapes."""
     if not np.isfinite(frame.time):
         raise ValueError(f"view: time {frame.time} s is not allowed, it must be finite")
@@ -396,7 +396,7 @@ class _Scene(Artist):
         radius = self.radius * self._points
         followers = known[known > 0]
         if len(followers):
-            colours = _fogged(self._view.colours[followers], near[followers], projection)
+            colours = _fog(self._view.colours[followers], near[followers], projection)
             if len(self._view.names) <= _MAX_SHAPES:
                 self._rotors.set_paths([self._flat(projection, _ROTORS)])
                 self._rotors.set_offsets(place[followers])
@@ -495,7 +495,7 @@ def _groups(colours: Array) -> list[tuple[int, int]]:
     return list(pairwise(bounds))
 
 
-def _fogged(colours: Array, near: Array, projection: Projection) -> Array:
+def _fog(colours: Array, near: Array, projection: Projection) -> Array:
     """Return colours faded towards white with the distance."""
     low, high = projection.nearness_range
     fog = _FOG * np.clip((high - near) / (high - low), 0.0, 1.0) ** 2

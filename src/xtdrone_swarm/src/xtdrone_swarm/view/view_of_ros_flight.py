@@ -61,7 +61,7 @@ _SEARCH_PERIOD = 0.5  # s of wall time between two searches for a publisher of p
 _REMINDER = 10.0  # s of wall time between two log lines about the missing publisher
 
 
-class Flight:
+class ObservedFlight:
     """State of a flight, received from its topics."""
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -140,15 +140,15 @@ def pattern_name(offsets: Array) -> str:
     Args:
         offsets: positions of all slots relative to the leader, shape (N, 3), m.
     """
-    wanted = _ordered(offsets)
+    wanted = _sort(offsets)
     patterns = Patterns(len(offsets))
     for name in patterns.names:
-        if np.abs(_ordered(with_leader(patterns.offsets(name))) - wanted).max() < _SAME:
+        if np.abs(_sort(with_leader(patterns.offsets(name))) - wanted).max() < _SAME:
             return name
     return ""
 
 
-def _ordered(points: Array) -> Array:
+def _sort(points: Array) -> Array:
     """Return points sorted by their coordinates."""
     grid = np.round(points / _SAME).astype(np.int64)
     return points[np.lexsort(grid.T)]
@@ -206,7 +206,7 @@ class _Rider:
     """Provides the window with the newest state, without participating in the lockstep."""
 
     def __init__(self, names: Sequence[str], window: Window, ended: threading.Event) -> None:
-        self._flight = Flight(names)
+        self._flight = ObservedFlight(names)
         self._window = window
         self._ended = ended  # returns whether to close the window
         self._hint = window.view.hint
@@ -273,7 +273,7 @@ def _film(names: Sequence[str], path: Path, fps: float) -> None:
     check_film(path, fps)
     lockstep.init_node("visualize", rate=fps)
     view = SwarmView(names, trails=_trails())
-    flight = Flight(names)
+    flight = ObservedFlight(names)
     for topic, (kind, handler) in flight.handlers(_film_source(names)).items():
         lockstep.Subscriber(topic, kind, handler)
     lockstep.start()
@@ -295,7 +295,7 @@ def _film_source(names: Sequence[str]) -> str:
     raise rospy.ROSInterruptException("shut down")
 
 
-def _turns(flight: Flight) -> Iterator[Frame]:
+def _turns(flight: ObservedFlight) -> Iterator[Frame]:
     """Yield a frame each turn, from the first vehicle position until the node shuts down."""
     rate = lockstep.Rate()
     with contextlib.suppress(rospy.ROSInterruptException):

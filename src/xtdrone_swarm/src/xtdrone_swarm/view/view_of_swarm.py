@@ -13,20 +13,19 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from xtdrone_coordination.leader import Leader
-from xtdrone_swarm.flight_record import Record
-from xtdrone_swarm.swarm_vehicles import Vehicles
+from xtdrone_swarm.swarm_vehicles import FlightRecord, Vehicles
 from xtdrone_swarm.view.film import FPS, FilmError, film
 from xtdrone_swarm.view.projection_and_zoom import Array
 from xtdrone_swarm.view.swarm_picture import Frame, SwarmView
 from xtdrone_swarm.view.window_and_mouse import Window
 
 
-class Swarm(Protocol):
+class PicturedSwarm(Protocol):
     """The interface of :class:`xtdrone_swarm.Swarm` used by its pictures."""
 
     vehicles: Vehicles
     leader: Leader
-    record: Record | None
+    record: FlightRecord | None
 
     @property
     def time(self) -> float:
@@ -70,7 +69,7 @@ class Formations:
 
 
 def film_swarm(
-    swarm: Swarm,
+    swarm: PicturedSwarm,
     path: str | Path,
     *,
     seconds: float | None = None,
@@ -93,11 +92,13 @@ def film_swarm(
         frames, total = _flying(swarm, seconds, period, note, each_turn), math.floor(seconds / period + 1e-9) + 1
     else:
         times = _film_times(swarm, path, start, end, period)
-        frames, total = _recorded(swarm, times, note), len(times)
+        frames, total = _replay(swarm, times, note), len(times)
     return film(frames, path, fps, progress, names=swarm.vehicles.names, total=total, **options)
 
 
-def _flying(swarm: Swarm, seconds: float, period: float, note: str, each_turn: EachTurn | None) -> Iterator[Frame]:
+def _flying(
+    swarm: PicturedSwarm, seconds: float, period: float, note: str, each_turn: EachTurn | None
+) -> Iterator[Frame]:
     """Fly a swarm and yield its frames; positions are interpolated between turns."""
     formations = Formations()
     begin = swarm.time
@@ -116,7 +117,7 @@ def _flying(swarm: Swarm, seconds: float, period: float, note: str, each_turn: E
         yield Frame(moment, positions, slots, formations.edges(leader.adjacency), leader.pattern, note)
 
 
-def _film_times(swarm: Swarm, path: str | Path, start: float | None, end: float | None, period: float) -> Array:
+def _film_times(swarm: PicturedSwarm, path: str | Path, start: float | None, end: float | None, period: float) -> Array:
     """Return the times of the frames of a recorded flight."""
     record = swarm.record
     if record is None:
@@ -130,7 +131,7 @@ def _film_times(swarm: Swarm, path: str | Path, start: float | None, end: float 
     return begin + period * np.arange(math.floor((stop - begin) / period + 1e-9) + 1)
 
 
-def _recorded(swarm: Swarm, times: Array, note: str) -> Iterator[Frame]:
+def _replay(swarm: PicturedSwarm, times: Array, note: str) -> Iterator[Frame]:
     """Yield the frames of a recorded flight; positions are interpolated between turns."""
     record = swarm.record
     assert record is not None
@@ -153,7 +154,7 @@ def _recorded(swarm: Swarm, times: Array, note: str) -> Iterator[Frame]:
 
 
 def watch_swarm(
-    swarm: Swarm,
+    swarm: PicturedSwarm,
     *,
     speed: float = 1.0,
     seconds: float = math.inf,
@@ -175,7 +176,9 @@ def watch_swarm(
     play(swarm, turn, speed=speed, end=swarm.time + seconds, **options)
 
 
-def play(swarm: Swarm, turn: Callable[[], bool], *, speed: float = 1.0, end: float = math.inf, **options: Any) -> None:
+def play(
+    swarm: PicturedSwarm, turn: Callable[[], bool], *, speed: float = 1.0, end: float = math.inf, **options: Any
+) -> None:
     """Show a swarm in a live window until the window is closed.
 
     Args:
@@ -216,7 +219,9 @@ class RealTimeFactor:
 class _Player:
     """Advances simulated time with wall time before each picture, and reports the real-time factor."""
 
-    def __init__(self, swarm: Swarm, window: Window, turn: Callable[[], bool], speed: float, end: float) -> None:
+    def __init__(
+        self, swarm: PicturedSwarm, window: Window, turn: Callable[[], bool], speed: float, end: float
+    ) -> None:
         self._swarm = swarm
         self._window = window
         self._speed = speed

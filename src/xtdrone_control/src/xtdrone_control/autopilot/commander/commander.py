@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.c_casts import low_32
 from xtdrone_control.autopilot.commander.failsafe import Action, Failsafe, Flags, Outcome, can_run
 from xtdrone_control.autopilot.commander.flight_commands import FlightCommands, Result
@@ -26,13 +26,13 @@ from xtdrone_control.autopilot.commander.sensor_calibration import SensorCalibra
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, WARNING, Announcements
 from xtdrone_control.autopilot.events.events import Event
-from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.navigator import rtl
 from xtdrone_control.autopilot.navigator.navigator import Navigator
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import FAILURE_OFF, TASK_DESCEND, TASK_IDLE
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.modes import Mode
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.modes import Mode
+from xtdrone_control import modes
+from xtdrone_control.modes import Mode
 
 Get = Callable[[str], float]
 

@@ -6,15 +6,15 @@ import enum
 import math
 from abc import ABC, abstractmethod
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.home_position import HomePosition
 from xtdrone_control.autopilot.commander.motors import ArmReason
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, Announcements
-from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.navigator.navigator import Goal, Home, Navigator
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
 from xtdrone_control.geodesy import projection
+from xtdrone_control.modes import Mode
 
 
 class Result(enum.IntEnum):

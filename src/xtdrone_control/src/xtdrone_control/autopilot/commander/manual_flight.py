@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.manual_control import CENTRED, Sticks
-from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.state import (
     TASK_ACRO,
     TASK_ALTITUDE,
@@ -17,6 +16,7 @@ from xtdrone_control.autopilot.state import (
     TASK_TRAJECTORY,
 )
 from xtdrone_control.autopilot.vehicle_view import VehicleView
+from xtdrone_control.modes import Mode
 
 Get = Callable[[str], float]
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.failsafe import Action, Cause, Outcome
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.events import Event, event
-from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.vehicle_view import VehicleView
+from xtdrone_control.modes import Mode
 
 CRITICAL, WARNING, INFO = 2, 4, 6  # MAV_SEVERITY
 _MAX_TEXTS = 64

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.modes import Mode
+from xtdrone_control import modes
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_GOTO, TASK_LAND, TASK_RATES
+from xtdrone_control.modes import Mode
 
 from .message_definitions import message_format
 from .ulog_format import Format, data_template

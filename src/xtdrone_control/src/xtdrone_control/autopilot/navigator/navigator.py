@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from xtdrone_control.autopilot import c_casts, modes
+from xtdrone_control import modes
+from xtdrone_control.autopilot import c_casts
 from xtdrone_control.autopilot.events.announcements import Announcements
 from xtdrone_control.autopilot.events.events import ERROR
 from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL, INFO, NAN, Course, Home, braking_time
 from xtdrone_control.autopilot.flight_tasks.follow_target import FollowTarget
 from xtdrone_control.autopilot.flight_tasks.orbit import Orbit
-from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
 from xtdrone_control.autopilot.navigator.geofence import Fence
 from xtdrone_control.autopilot.navigator.gimbal_manager import NO_CONTROLLER
@@ -24,6 +24,7 @@ from xtdrone_control.autopilot.navigator.rtl import MISSION_REVERSED, Return
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_IDLE, TASK_LAND
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
+from xtdrone_control.modes import Mode
 
 __all__ = ["Goal", "Home", "Navigator"]
 

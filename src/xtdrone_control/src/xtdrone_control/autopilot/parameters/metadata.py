@@ -14,7 +14,7 @@ from enum import Enum
 from functools import cache
 from typing import Any
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.commander import ArmReason
 from xtdrone_control.autopilot.commander.failsafe import Action, Cause
 from xtdrone_control.autopilot.events import events

@@ -20,8 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from xtdrone_control.bounded_file import ContentError, read_text
-from xtdrone_control.whole_file import write_whole
+from xtdrone_control.files import ContentError, read_text, write_whole
 
 SUFFIX = ".params"
 REAL32 = 9

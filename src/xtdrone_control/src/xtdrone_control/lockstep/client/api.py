@@ -24,11 +24,12 @@ import rospy.core
 import rospy.impl.simtime
 import rospy.rostime
 
-from xtdrone_control.programs.log_output import survive_full_disk
+from xtdrone_control.programs.node_command_line import exit_statuses
+from xtdrone_control.programs.plain_node import lengthen_connection_queue, survive_full_disk
 
 from ..protocol import Schedule
 from ..transport import local_topics
-from ..transport.rospy_internals import handle_signal, lengthen_connection_queue, set_time_us
+from ..transport.rospy_internals import handle_signal, set_time_us
 from ..transport.rospy_internals import registering_together as registering_together
 from . import joining
 from .compiled_turns import CompiledWork
@@ -159,6 +160,9 @@ def is_active() -> bool:
 def exit_status() -> int:
     """Return the exit status for the program: 1 if the simulator has failed or has dropped the node, else 0."""
     return this_node.exit_status
+
+
+exit_statuses.append(exit_status)  # of nodes started by ``run_program``
 
 
 # ---- turns ----

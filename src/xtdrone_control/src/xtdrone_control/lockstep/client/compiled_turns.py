@@ -20,7 +20,7 @@ from ..transport.outlets import Outlet
 from ..transport.publisher import CountingPublisher
 from .messages_due import Deliveries
 from .node_state import Node
-from .server_link import Connection
+from .server_link import ServerConnection
 from .topics import Publisher
 
 _FAR_US = 1 << 62  # us; the turns have no end
@@ -54,7 +54,7 @@ class CompiledWork(Protocol):
 class CompiledTurns:
     """Runs turns of a participant by a compiled program."""
 
-    def __init__(self, node: Node, connection: Connection, deliveries: Deliveries, work: CompiledWork) -> None:
+    def __init__(self, node: Node, connection: ServerConnection, deliveries: Deliveries, work: CompiledWork) -> None:
         """Store the arguments; ``carry`` runs the turns.
 
         Args:

@@ -31,7 +31,7 @@ from ..transport.rospy_internals import set_time_us
 from .compiled_turns import CompiledTurns, CompiledWork
 from .messages_due import Deliveries
 from .node_state import Node, Serve
-from .server_link import Connection, reason_of
+from .server_link import ServerConnection, reason_of
 
 DATAGRAM_LIMIT = 10.0
 """Wall seconds to wait for a counted datagram from this machine, where none is lost on the way."""
@@ -64,7 +64,7 @@ class Client:
         self.time_us = 0
         self._node = node
         self._reader = node.reader
-        self._connection = Connection(uri)
+        self._connection = ServerConnection(uri)
         self._deliveries = Deliveries(node)
         self._joined = False
         self._ended = threading.Event()

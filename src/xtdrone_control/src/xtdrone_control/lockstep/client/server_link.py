@@ -51,7 +51,7 @@ def reason_of(content: Mapping[str, Any]) -> str:
     return printable(str(content.get("reason")), LONGEST_REASON)
 
 
-class Connection:
+class ServerConnection:
     """Sends and receives frames.
 
     Attributes:
@@ -95,7 +95,7 @@ class Connection:
 
     def watch(self, reader: Reader, handler: Callable[[], None]) -> None:
         """Register ``handler``, which ``reader`` calls whenever data can be read, except in ``await_frames``."""
-        sock = self._connected()
+        sock = self._connection()
         sock.settimeout(None)
         self._descriptor = sock.fileno()
         reader.watch(self._descriptor, handler)
@@ -131,7 +131,7 @@ class Connection:
             tick: Number of the last turn.
             time_us: Simulation time of the last turn in microseconds.
         """
-        lock, sock = self.lock, self._connected()
+        lock, sock = self.lock, self._connection()
         return lockstep_io.Turns(
             reader.descriptor, self._descriptor, lock.acquire, lock.release, sock.sendall, topics, tick, time_us
         )
@@ -163,7 +163,7 @@ class Connection:
         Raises:
             OSError: The connection is closed.
         """
-        self._connected().sendall(data)
+        self._connection().sendall(data)
 
     def send_done(self, tick: int, time_us: int, channels: dict[int, int], datagrams: dict[int, int]) -> None:
         """Send DONE, see ``protocol.pack_barrier``; the caller holds ``lock``.
@@ -173,7 +173,7 @@ class Connection:
         """
         rest = lockstep_io.send_done(self._descriptor, tick, time_us, channels, datagrams)
         if rest:
-            self._connected().sendall(rest)
+            self._connection().sendall(rest)
 
     def read(self) -> None:
         """Read the data at hand into ``frames``, waiting for at least one byte.
@@ -182,7 +182,7 @@ class Connection:
             OSError: The connection is closed.
             ProtocolError: The data is invalid.
         """
-        self._accept(self._connected().recv(1 << 16))
+        self._accept(self._connection().recv(1 << 16))
 
     def _accept(self, data: bytes) -> None:
         if not data:
@@ -193,7 +193,7 @@ class Connection:
     def read_rest(self) -> None:
         """Read the data left on a broken connection, if any."""
         with contextlib.suppress(OSError, ProtocolError):
-            self._connected().settimeout(0.0)
+            self._connection().settimeout(0.0)
             self.read()
 
     def close(self) -> None:
@@ -214,7 +214,7 @@ class Connection:
         self.remote = not same_machine(sock.getpeername()[0], sock.getsockname()[0])
         return sock
 
-    def _connected(self) -> socket.socket:
+    def _connection(self) -> socket.socket:
         if self._sock is None:
             raise ConnectionError("not connected")
         return self._sock

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping
 
 from ..protocol import Barrier, Kind, pack_barrier, pack_object
 from .channels import Channels
-from .client_process import Connection
-from .client_sockets import Connections, Log
+from .client_process import ClientConnection
+from .client_sockets import ClientConnections, Log
 from .datagram_counts import DatagramCounts
 from .participant import Participant
 
@@ -41,7 +41,7 @@ class TickBarrier:
     def __init__(
         self,
         participants: Mapping[str, Participant],
-        connections: Connections,
+        connections: ClientConnections,
         channels: Channels,
         datagrams: DatagramCounts,
         *,
@@ -147,7 +147,7 @@ class TickBarrier:
                 self._connections.release(participant.connection)
 
     def _send_ticks(self, due: Iterable[Participant], wall: float) -> None:
-        rows: list[tuple[Connection, dict[int, int]]] = []
+        rows: list[tuple[ClientConnection, dict[int, int]]] = []
         next_due: dict[float, int] = {}  # by rate
         for participant in due:
             connection, schedule = participant.connection, participant.schedule
@@ -167,7 +167,7 @@ class TickBarrier:
                 rows.append((connection, participant.news.counts))
         self._connections.send_ticks(self.ticks, self.time_us, rows)
 
-    def _send_tick(self, participant: Participant, connection: Connection) -> None:
+    def _send_tick(self, participant: Participant, connection: ClientConnection) -> None:
         """Send TICK together with connections made and lost and with datagram counts."""
         counts = participant.news.counts
         peers = b"".join(pack_object(Kind.PEER, content) for content in participant.news.take_peers())

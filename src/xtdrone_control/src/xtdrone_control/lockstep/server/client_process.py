@@ -39,7 +39,7 @@ class Process:
         return fields[0], fields[19]
 
 
-class Connection:
+class ClientConnection:
     """A client's TCP or Unix domain connection, from ``accept`` until it is closed.
 
     Attributes:

@@ -1,6 +1,6 @@
 """The server's sockets: accepts connections, receives frames, sends without blocking, and limits what clients may use.
 
-Runs entirely inside ``Connections.poll``, without threads. A faulty client only ever loses its own connection.
+Runs entirely inside ``ClientConnections.poll``, without threads. A faulty client only ever loses its own connection.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from xtdrone_native import lockstep_io
 
 from .. import unix_sockets
 from ..protocol import Kind, ProtocolError, pack_object, tune
-from .client_process import Connection
+from .client_process import ClientConnection
 from .frame_checks import RefusalError
 
 Log = Callable[[int, str], None]
 """Called with a level of ``logging`` and a text."""
-HandleFrame = Callable[[Connection, int, bytes], None]
+HandleFrame = Callable[[ClientConnection, int, bytes], None]
 """Called with the connection, type and payload of each frame; raises ProtocolError or RefusalError if it is invalid."""
-EndTurn = Callable[[Connection, Mapping[int, int]], None]
+EndTurn = Callable[[ClientConnection, Mapping[int, int]], None]
 """Called with the connection of each DONE that was awaited, once its counts of channels are routed, and with its counts
 of datagrams by port; raises ProtocolError if they are invalid."""
 
@@ -57,7 +57,7 @@ COMPLAINT_PERIOD = 5.0
 """Wall seconds between warnings about connections that have not joined; there may be any number of these."""
 
 
-class Connections:
+class ClientConnections:
     """The listening socket and the connections of all clients.
 
     Attributes:
@@ -72,7 +72,7 @@ class Connections:
         log: Log,
         handle_frame: HandleFrame,
         end_turn: EndTurn,
-        on_close: Callable[[Connection], None],
+        on_close: Callable[[ClientConnection], None],
     ) -> None:
         """Open the listening sockets.
 
@@ -100,7 +100,7 @@ class Connections:
         }
         advertised = socket.gethostname() if host in {"", "0.0.0.0"} else host
         self.uri = f"tcp://{advertised}:{number}"
-        self.reserved: dict[str, Connection] = {}
+        self.reserved: dict[str, ClientConnection] = {}
         self._epoll = select.epoll()
         self._exchange = lockstep_io.Exchange(self._epoll.fileno())
         self._listening = True
@@ -110,10 +110,10 @@ class Connections:
         # Readable while there is a backlog, i.e. connections with received frames that have not been handled.
         self._backlog_event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._epoll.register(self._backlog_event, select.EPOLLIN)
-        self._backlog: dict[Connection, None] = {}
-        self._open: dict[int, Connection] = {}
+        self._backlog: dict[ClientConnection, None] = {}
+        self._open: dict[int, ClientConnection] = {}
         self._per_address: dict[str, int] = {}
-        self._newcomers: dict[Connection, None] = {}  # have neither joined nor reserved a name; oldest first
+        self._newcomers: dict[ClientConnection, None] = {}  # have neither joined nor reserved a name; oldest first
         self._next_check = 0.0
         self._last_refusal = ""
         self._next_complaint = 0.0
@@ -139,7 +139,7 @@ class Connections:
             timeout: Longest wait in wall seconds.
         """
         backlog = list(self._backlog)
-        newcomers: list[Connection] = []
+        newcomers: list[ClientConnection] = []
         knocks: list[socket.socket] = []
         completed, others = self._exchange.poll(timeout)
         if completed:
@@ -177,7 +177,7 @@ class Connections:
             except ProtocolError as error:
                 self.drop(connection, f"sent an invalid lockstep frame: {error}")
 
-    def _greet(self, newcomers: Iterable[Connection], knocks: Iterable[socket.socket]) -> None:
+    def _greet(self, newcomers: Iterable[ClientConnection], knocks: Iterable[socket.socket]) -> None:
         """Serve connections that have not joined and accept more, for ``GREETING_BUDGET`` seconds.
 
         Unread data and pending connections stay in the kernel.
@@ -210,7 +210,7 @@ class Connections:
         elif not unix_sockets.has_same_owner(sock):
             sock.close()
             return True
-        connection = Connection(sock, None if is_local else address, time.monotonic())
+        connection = ClientConnection(sock, None if is_local else address, time.monotonic())
         self._open[connection.descriptor] = connection
         self._per_address[connection.host] = self._per_address.get(connection.host, 0) + 1
         self._newcomers[connection] = None
@@ -235,7 +235,7 @@ class Connections:
 
     # ---- receiving ----
 
-    def _receive(self, connection: Connection) -> None:
+    def _receive(self, connection: ClientConnection) -> None:
         if connection.sock is None or connection in self._backlog:
             return
         try:
@@ -247,7 +247,7 @@ class Connections:
             return
         self._accept_data(connection, data)
 
-    def _accept_data(self, connection: Connection, data: bytes) -> None:
+    def _accept_data(self, connection: ClientConnection, data: bytes) -> None:
         """Handle data received on a connection; none if the client has closed it."""
         if not data:
             self.drop(connection, "is gone: it closed its connection without a LEAVE")
@@ -256,7 +256,7 @@ class Connections:
         connection.reader.feed(data)
         self._handle_frames(connection)
 
-    def _handle_frames(self, connection: Connection) -> None:
+    def _handle_frames(self, connection: ClientConnection) -> None:
         """Handle the frames received on a connection; an invalid one closes this connection only."""
         if connection.sock is None:
             return
@@ -275,7 +275,7 @@ class Connections:
             if len(connection.reader) > LONG_FRAME:
                 self._limit_unfinished()
 
-    def _set_backlog(self, connection: Connection, value: bool) -> None:
+    def _set_backlog(self, connection: ClientConnection, value: bool) -> None:
         """Record whether a connection has frames that have not been handled; ``fileno`` is readable while any has."""
         if value == (connection in self._backlog):
             return
@@ -290,7 +290,7 @@ class Connections:
 
     # ---- sending ----
 
-    def send(self, connection: Connection, data: bytes) -> None:
+    def send(self, connection: ClientConnection, data: bytes) -> None:
         """Send frames without blocking; bytes that the kernel does not accept are sent by a later ``poll``."""
         if connection.sock is None:
             return
@@ -309,18 +309,18 @@ class Connections:
         if sent < len(data):
             self._keep(connection, data[sent:])
 
-    def _keep(self, connection: Connection, data: bytes) -> None:
+    def _keep(self, connection: ClientConnection, data: bytes) -> None:
         """Keep bytes until the client reads."""
         connection.unsent += data
         self._epoll.modify(connection.descriptor, select.EPOLLIN | select.EPOLLOUT)
 
-    def _flush(self, connection: Connection) -> None:
+    def _flush(self, connection: ClientConnection) -> None:
         data, connection.unsent = bytes(connection.unsent), bytearray()
         if data and connection.sock is not None:
             self._epoll.modify(connection.descriptor, select.EPOLLIN)
             self.send(connection, data)
 
-    def send_ticks(self, tick: int, time_us: int, rows: Iterable[tuple[Connection, dict[int, int]]]) -> None:
+    def send_ticks(self, tick: int, time_us: int, rows: Iterable[tuple[ClientConnection, dict[int, int]]]) -> None:
         """Send TICK without datagram counts, and await the DONE of each.
 
         Args:
@@ -336,17 +336,17 @@ class Connections:
             else:
                 self._keep(connection, rest)
 
-    def expect(self, connection: Connection, tick: int) -> None:
+    def expect(self, connection: ClientConnection, tick: int) -> None:
         """Await the DONE of a tick whose TICK is sent by ``send``."""
         self._exchange.expect(connection.descriptor, tick)
 
-    def release(self, connection: Connection) -> None:
+    def release(self, connection: ClientConnection) -> None:
         """Stop awaiting DONE."""
         self._exchange.release(connection.descriptor)
 
     # ---- names ----
 
-    def reserve(self, connection: Connection, name: str) -> None:
+    def reserve(self, connection: ClientConnection, name: str) -> None:
         """Record the name reserved over a connection."""
         connection.reserved = name
         connection.accepted = time.monotonic()
@@ -354,7 +354,7 @@ class Connections:
         self._newcomers.pop(connection, None)
 
     def join(
-        self, connection: Connection, name: str, routes: dict[int, tuple[dict[int, int], int]], closing: list[int]
+        self, connection: ClientConnection, name: str, routes: dict[int, tuple[dict[int, int], int]], closing: list[int]
     ) -> None:
         """Record the participant that has joined over a connection.
 
@@ -371,7 +371,7 @@ class Connections:
 
     # ---- closing ----
 
-    def drop(self, connection: Connection, why: str) -> None:
+    def drop(self, connection: ClientConnection, why: str) -> None:
         """Close the connection of a client that is dead, hung or faulty.
 
         Args:
@@ -390,7 +390,7 @@ class Connections:
             self._complain(f"{connection} {why}")
         self._close_with(connection, "dropped", f"it {why}")
 
-    def remove(self, connection: Connection) -> None:
+    def remove(self, connection: ClientConnection) -> None:
         """Close a connection."""
         if connection.sock is not None:
             self._exchange.remove(connection.descriptor)
@@ -435,7 +435,7 @@ class Connections:
         for listener in self._listeners.values():
             listener.close()
 
-    def _refuse(self, connection: Connection, code: str, reason: str) -> None:
+    def _refuse(self, connection: ClientConnection, code: str, reason: str) -> None:
         repeated, self._last_refusal = reason == self._last_refusal, reason
         if repeated:  # a node that waits for its name retries many times a second
             self._log(logging.DEBUG, f"refused: {reason}")
@@ -443,7 +443,7 @@ class Connections:
             self._complain(f"refused: {reason}")
         self._close_with(connection, code, reason)
 
-    def _close_with(self, connection: Connection, code: str, reason: str) -> None:
+    def _close_with(self, connection: ClientConnection, code: str, reason: str) -> None:
         """Send REFUSED and close; a single attempt, as the client may be dead or not reading."""
         refusal = pack_object(Kind.REFUSED, {"code": code, "reason": reason[:MOST_REASON]})
         try:

@@ -22,7 +22,7 @@ from ..protocol import (
     ProtocolError,
     Schedule,
     printable,
-    shown,
+    quote,
     unpack_barrier,
     unpack_object,
 )
@@ -201,7 +201,7 @@ def peers(payload: bytes) -> Peers:
         ProtocolError: The payload is malformed.
     """
     fields = _Fields("PEER", unpack_object(payload))
-    made = [_made(entry) for entry in fields.items("made", MOST_CHANNELS)]
+    made = [_check_made(entry) for entry in fields.items("made", MOST_CHANNELS)]
     lost = [_integer("PEER: number", number, 0, _U32) for number in fields.items("lost", MOST_CHANNELS)]
     return Peers(made, lost)
 
@@ -215,7 +215,7 @@ def digest(payload: bytes) -> DigestReport:
     fields = _Fields("DIGEST", unpack_object(payload))
     topics = fields.get("topics")
     if not isinstance(topics, dict) or len(topics) > MOST_TOPICS:
-        raise ProtocolError(f"DIGEST: topics {shown(topics)}: must be an object of at most {MOST_TOPICS}")
+        raise ProtocolError(f"DIGEST: topics {quote(topics)}: must be an object of at most {MOST_TOPICS}")
     time_us = _integer("DIGEST: time_us", fields.get("time_us"), 0, _I64)
     return DigestReport(time_us, {_name("DIGEST: topic", topic): _state(state) for topic, state in topics.items()})
 
@@ -229,7 +229,7 @@ def leave(payload: bytes) -> Leave:
     fields = _Fields("LEAVE", unpack_object(payload))
     reason, failed = fields.get("reason", ""), fields.get("failed", False)
     if not isinstance(reason, str) or not isinstance(failed, bool):
-        raise ProtocolError(f"LEAVE: reason {shown(reason)}, failed {shown(failed)}: must be a string and a boolean")
+        raise ProtocolError(f"LEAVE: reason {quote(reason)}, failed {quote(failed)}: must be a string and a boolean")
     return Leave(printable(reason, LONGEST_REASON), failed)
 
 
@@ -271,22 +271,22 @@ class _Fields:
         """
         value = self._content.get(key, [])
         if not isinstance(value, list) or len(value) > most:
-            raise ProtocolError(f"{self.frame}: {key} {shown(value)}: must be a list of at most {most}")
+            raise ProtocolError(f"{self.frame}: {key} {quote(value)}: must be a list of at most {most}")
         return value
 
 
 def _reservation(fields: _Fields) -> Reservation:
     name, version = fields.get("name"), fields.get("version")
     if version != VERSION or isinstance(version, bool):
-        node = printable(name, LONGEST_NAME) if isinstance(name, str) else shown(name)
-        raise RefusalError("version", f"{node} uses lockstep version {shown(version)}, the simulator {VERSION}")
+        node = printable(name, LONGEST_NAME) if isinstance(name, str) else quote(name)
+        raise RefusalError("version", f"{node} uses lockstep version {quote(version)}, the simulator {VERSION}")
     if not isinstance(name, str) or len(name) > LONGEST_NAME or not _NAME.fullmatch(name):
         allowed = f"must be a resolved ROS name, such as /follower_1, of at most {LONGEST_NAME} characters"
-        raise RefusalError("name", f"name {shown(name)}: {allowed}")
+        raise RefusalError("name", f"name {quote(name)}: {allowed}")
     host = fields.get("host", "")
     if not isinstance(host, str) or len(host) > LONGEST_NAME:
         raise ProtocolError(
-            f"{fields.frame}: host {shown(host)}: must be a string of at most {LONGEST_NAME} characters"
+            f"{fields.frame}: host {quote(host)}: must be a string of at most {LONGEST_NAME} characters"
         )
     return Reservation(name, _integer(f"{fields.frame}: pid", fields.get("pid", 0), 0, _HIGHEST_PID), host)
 
@@ -306,15 +306,15 @@ def _topics(fields: _Fields, key: str) -> dict[str, str]:
     for entry in fields.items(key, MOST_TOPICS):
         topic, kind = _row(what, entry, 2, "[topic, type]")
         if not isinstance(kind, str) or len(kind) > LONGEST_NAME or not _TYPE.fullmatch(kind):
-            raise ProtocolError(f"{what}: type {shown(kind)}: must be a ROS type, such as std_msgs/String, or *")
+            raise ProtocolError(f"{what}: type {quote(kind)}: must be a ROS type, such as std_msgs/String, or *")
         topics[_name(what, topic)] = kind
     return topics
 
 
-def _made(entry: object) -> Made:
+def _check_made(entry: object) -> Made:
     number, topic, subscriber, port, count = _row("PEER: made", entry, 5, "[id, topic, subscriber, port, count]")
     if not isinstance(subscriber, str):
-        raise ProtocolError(f"PEER: subscriber {shown(subscriber)}: must be a string")
+        raise ProtocolError(f"PEER: subscriber {quote(subscriber)}: must be a string")
     # A foreign subscriber may use any name; that is not the publisher's fault.
     known = len(subscriber) <= LONGEST_NAME and _NAME.fullmatch(subscriber)
     return Made(
@@ -334,18 +334,18 @@ def _state(state: object) -> list[int]:
 
 def _row(what: str, entry: object, length: int, columns: str) -> list[Any]:
     if not isinstance(entry, list) or len(entry) != length:
-        raise ProtocolError(f"{what}: {shown(entry)}: must be {columns}")
+        raise ProtocolError(f"{what}: {quote(entry)}: must be {columns}")
     return entry
 
 
 def _name(what: str, value: object) -> str:
     if not isinstance(value, str) or len(value) > LONGEST_NAME or not _NAME.fullmatch(value):
         allowed = f"must be a resolved ROS name, such as /iris_0/cmd, of at most {LONGEST_NAME} characters"
-        raise ProtocolError(f"{what}: topic {shown(value)}: {allowed}")
+        raise ProtocolError(f"{what}: topic {quote(value)}: {allowed}")
     return value
 
 
 def _integer(what: str, value: object, low: int, high: int) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ProtocolError(f"{what} {shown(value)}: must be an integer from {low} to {high}")
+        raise ProtocolError(f"{what} {quote(value)}: must be an integer from {low} to {high}")
     return value

@@ -14,8 +14,8 @@ from ..protocol import BASE_STEP_US, VERSION, Barrier, Kind, ProtocolError, pack
 from . import frame_checks
 from .barrier import Idle, TickBarrier
 from .channels import Channels, HostLink
-from .client_process import Connection, Process
-from .client_sockets import Connections, Log
+from .client_process import ClientConnection, Process
+from .client_sockets import ClientConnections, Log
 from .datagram_counts import DatagramCounts
 from .participant import Participant
 
@@ -64,7 +64,7 @@ class LockstepServer:
         self._on_digest = on_digest
         self._namespace = process_namespace()
         self._closed = False
-        self._connections = Connections(
+        self._connections = ClientConnections(
             host, port, self._log, self._handle_frame, self._complete_turn, self._remove_participant
         )
         self._channels = Channels(self.participants, connect_limit, self._log)
@@ -247,7 +247,7 @@ class LockstepServer:
 
     # ---- frames ----
 
-    def _handle_frame(self, connection: Connection, kind: int, payload: bytes) -> None:
+    def _handle_frame(self, connection: ClientConnection, kind: int, payload: bytes) -> None:
         """Handle one frame; the connection's reader accepts only RESERVE and JOIN before joining, all others after it.
 
         Raises:
@@ -285,7 +285,7 @@ class LockstepServer:
             self._datagrams.count(participant, done.datagrams)
         self._barrier.complete_turn(participant, done)
 
-    def _complete_turn(self, connection: Connection, datagrams: Mapping[int, int]) -> None:
+    def _complete_turn(self, connection: ClientConnection, datagrams: Mapping[int, int]) -> None:
         """Accept the DONE that the barrier awaits, see ``client_sockets.EndTurn``."""
         participant = self.participants[connection.name]
         if datagrams:
@@ -294,7 +294,7 @@ class LockstepServer:
 
     # ---- joining and leaving ----
 
-    def _reserve(self, connection: Connection, node: frame_checks.Reservation) -> None:
+    def _reserve(self, connection: ClientConnection, node: frame_checks.Reservation) -> None:
         """Reserve a name for a starting node, so that a second one is refused before it registers with ROS."""
         if connection.reserved:
             raise ProtocolError("RESERVE on a connection that has a name")
@@ -303,7 +303,7 @@ class LockstepServer:
         self._connections.reserve(connection, node.name)
         self._welcome(connection)
 
-    def _join(self, connection: Connection, join: frame_checks.Join) -> None:
+    def _join(self, connection: ClientConnection, join: frame_checks.Join) -> None:
         name = join.node.name
         self._require_free(connection, name)
         connection.reader.longest = frame_checks.AFTER_JOIN
@@ -320,7 +320,7 @@ class LockstepServer:
             self._channels.add_participant(participant)
             self._channels.declare(participant, join.topics)
 
-    def _require_free(self, connection: Connection, name: str) -> None:
+    def _require_free(self, connection: ClientConnection, name: str) -> None:
         """Check that no other connection has or has reserved a name.
 
         Raises:
@@ -336,17 +336,17 @@ class LockstepServer:
             "taken", f"the name {name} is taken by a participant connected from {address}{pid}"
         )
 
-    def _process(self, connection: Connection, node: frame_checks.Reservation) -> Process | None:
+    def _process(self, connection: ClientConnection, node: frame_checks.Reservation) -> Process | None:
         """Return the process named by a RESERVE or JOIN, None if it is not visible from here."""
         if not self._namespace or node.host != self._namespace or connection.remote or node.pid < 1:
             return None
         return Process(node.pid)
 
-    def _welcome(self, connection: Connection) -> None:
+    def _welcome(self, connection: ClientConnection) -> None:
         content = {"version": VERSION, "base_step_us": self._base_step_us, "digest": self._on_digest is not None}
         self._connections.send(connection, pack_object(Kind.WELCOME, content))
 
-    def _remove_participant(self, connection: Connection) -> None:
+    def _remove_participant(self, connection: ClientConnection) -> None:
         """Remove the participant of a closed connection, if it had joined."""
         participant = self.participants.get(connection.name)
         if participant is None or participant.connection is not connection:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..protocol import Schedule
-from .client_process import Connection
+from .client_process import ClientConnection
 
 Pair = tuple[str, str, str]
 """Topic, publisher's name, subscriber's name."""
@@ -134,7 +134,7 @@ class Participant:
         datagrams_sent: Datagrams that it has sent, by the simulator's port.
     """
 
-    def __init__(self, name: str, connection: Connection | None, rate: float, schedule: Schedule | None) -> None:
+    def __init__(self, name: str, connection: ClientConnection | None, rate: float, schedule: Schedule | None) -> None:
         self.name = name
         self.connection = connection
         self.rate = rate

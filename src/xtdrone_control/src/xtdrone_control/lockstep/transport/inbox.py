@@ -69,7 +69,7 @@ class Inbox:
         self.latched = False
         self.latch: Any = None
         self.most_kept = FOREIGN_QUEUE
-        self.feed: Feed | None = None
+        self.feed: TopicFeed | None = None
         self.decode: Callable[[bytes], Any] | None = None
 
     def lacking(self) -> int:
@@ -142,7 +142,7 @@ class Inbox:
         return taken
 
 
-class Feed:
+class TopicFeed:
     """Splits the bytes of one connection into messages and stores them, still serialised, in its inbox.
 
     Created in one of rospy's threads and used in the node's own; ``close`` may be called in any thread.

@@ -6,7 +6,6 @@ rospy offers no public way to replace the ends of a topic, to set the time or to
 from __future__ import annotations
 
 import contextlib
-import inspect
 import socket
 import threading
 import time
@@ -23,13 +22,14 @@ import rospy.topics
 from rospy.impl.registration import Registration, RegistrationListener, RegManager, get_registration_listeners
 from rospy.impl.statistics import SubscriberStatisticsLogger
 
+import xtdrone_control.programs.plain_node  # noqa: F401  # keeps rospy from losing publishers
+
 PublisherImpl: Any = rospy.topics._PublisherImpl
 """Base class of a topic's publishing end, shared by all ``rospy.Publisher`` objects of the topic in a process."""
 SubscriberImpl: Any = rospy.topics._SubscriberImpl
 """Base class of a topic's receiving end, shared by all ``rospy.Subscriber`` objects of the topic in a process."""
 
 _ASK_PERIOD = 1.0  # s of wall time
-_CONNECTION_QUEUE = 1024  # connections waiting to be accepted; the kernel caps the number at net.core.somaxconn
 
 
 def set_time_us(time_us: int) -> None:
@@ -60,16 +60,6 @@ def topic_server_address() -> tuple[str, int]:
     rospy.impl.tcpros_base.start_tcpros_server()
     server = rospy.impl.tcpros_base._tcpros_server.tcp_ros_server
     return server.addr, server.port
-
-
-def lengthen_connection_queue() -> None:
-    """Lengthen the queue of nodes that connect to this node's topics and services.
-
-    rospy queues five connections. When thirty vehicles call a service in the same tick, Linux drops those in excess,
-    and TCP tries again only after 1 s.
-    """
-    rospy.impl.tcpros_base.start_tcpros_server()
-    rospy.impl.tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(_CONNECTION_QUEUE)
 
 
 def accept_topic_connection(sock: socket.socket, address: tuple[str, int]) -> None:
@@ -117,39 +107,6 @@ def watch_param(name: str) -> Callable[[], Any]:
 
 # ---- registration with the master ----
 
-
-def _check_registration() -> None:
-    """Check that rospy keeps the publishers to connect to as ``_keep_every_publisher`` expects.
-
-    Raises:
-        ImportError: It does not.
-    """
-    given = list(inspect.signature(RegManager.publisher_update).parameters)
-    keeps = {"updates", "cond"} <= set(RegManager.__init__.__code__.co_names)
-    takes = {"updates", "cond", "pop", "_connect_topic_thread"} <= set(RegManager.run.__code__.co_names)
-    if given != ["self", "resolved_name", "uris"] or not (keeps and takes):
-        raise ImportError(f"{inspect.getfile(RegManager)}: this version of rospy registers topics in an unknown way")
-
-
-def _keep_every_publisher(manager: RegManager, resolved_name: str, uris: Sequence[str]) -> None:
-    """Queue a topic's publishers for connection, in place of ``RegManager.publisher_update``.
-
-    rospy's queue takes the last list as the newest and discards the others of the topic. The master's answer to a
-    registration is appended when it arrives, after the lists that the master has sent later on another connection, and
-    a list for an earlier subscription may arrive after the answer to a later one. Connections to the publishers that
-    only the discarded list names would never be made. Here a topic has one entry, with the publishers of all lists: one
-    that has ended in the meantime refuses the connection, which costs nothing.
-    """
-    with manager.cond:
-        waiting = [uri for name, older in manager.updates if name == resolved_name for uri in older]
-        merged = list(dict.fromkeys([*uris, *waiting]))
-        manager.updates = [(name, older) for name, older in manager.updates if name != resolved_name]
-        manager.updates.append((resolved_name, merged))
-        manager.cond.notify_all()
-
-
-_check_registration()
-RegManager.publisher_update = _keep_every_publisher
 
 _MOST_CALLS = 500  # of one request, so that the master serves other nodes in between
 _CALLS = {
@@ -266,9 +223,9 @@ def _register_again(manager: RegManager, topics: Sequence[str]) -> None:
     a topic may be unsubscribed before the master registers it again: it is unregistered then, and registered once more
     if it has been subscribed to in between.
     """
-    while asked := _subscribed(topics):
+    while asked := _subscriptions(topics):
         answers = _register(manager, asked)
-        kept = {name for name, _, _ in _subscribed(topics)}
+        kept = {name for name, _, _ in _subscriptions(topics)}
         for (name, _, _), publishers in zip(asked, answers, strict=True):
             if publishers and name in kept:
                 manager.publisher_update(name, publishers)
@@ -277,7 +234,7 @@ def _register_again(manager: RegManager, topics: Sequence[str]) -> None:
             _request(manager, [("unregisterSubscriber", name, manager.uri) for name in topics])
 
 
-def _subscribed(topics: Sequence[str]) -> list[tuple[str, str, str]]:
+def _subscriptions(topics: Sequence[str]) -> list[tuple[str, str, str]]:
     """Return name, type and kind of those of the topics that are subscribed to."""
     manager = rospy.topics.get_topic_manager()
     with manager.lock:

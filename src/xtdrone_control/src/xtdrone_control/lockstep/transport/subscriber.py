@@ -15,7 +15,7 @@ from rospy.impl.tcpros_base import TCPROSTransport
 from xtdrone_control.ros_codec import compile_class
 
 from . import local_topics
-from .inbox import FOREIGN_QUEUE, Feed, Inbox
+from .inbox import FOREIGN_QUEUE, Inbox, TopicFeed
 from .rospy_internals import SubscriberImpl, add_subscriber_impl
 from .topic_reader import Reader
 
@@ -113,7 +113,7 @@ class BufferingSubscriber(SubscriberImpl):
         inbox = self._inbox_of(connection)
         inbox.decode = functools.partial(self._decode, connection)
         try:
-            feed = Feed(connection, inbox)
+            feed = TopicFeed(connection, inbox)
         except AttributeError:
             # The connection has been closed concurrently and has lost its socket and buffer.
             connection.close()

@@ -18,7 +18,7 @@ from typing import Any
 import rospy.core
 from xtdrone_native import lockstep_io
 
-from .inbox import Feed, Inbox
+from .inbox import Inbox, TopicFeed
 
 _QUIET = select.EPOLLRDHUP
 _EAGER = select.EPOLLIN | select.EPOLLRDHUP
@@ -37,8 +37,8 @@ class Reader:
         self.active = False
         self.inboxes_changed = False
         self._handlers: dict[int, Callable[[], Any]] = {}
-        self._feeds: dict[int, Feed] = {}
-        self._handed_over: deque[Feed] = deque()
+        self._feeds: dict[int, TopicFeed] = {}
+        self._handed_over: deque[TopicFeed] = deque()
 
     def activate(self) -> None:
         """Read all connections made from now on."""
@@ -60,7 +60,7 @@ class Reader:
         self._epoll.register(descriptor, select.EPOLLIN)
         self._handlers[descriptor] = handler
 
-    def hand_over(self, feed: Feed) -> None:
+    def hand_over(self, feed: TopicFeed) -> None:
         """Pass a connection to the main thread; called in the rospy thread that has made it."""
         self._handed_over.append(feed)
         self.wake()
@@ -136,7 +136,7 @@ class Reader:
         Returns:
             The inboxes that are open and still lack messages.
         """
-        eager: set[Feed] = set()
+        eager: set[TopicFeed] = set()
         while True:
             lacking = [inbox for inbox in inboxes if not inbox.fetch() and not inbox.closed]
             remaining = limit - time.monotonic()
@@ -156,7 +156,7 @@ class Reader:
         if inbox.feed is not None:
             self._listen(inbox.feed, _QUIET)
 
-    def _listen(self, feed: Feed, mask: int) -> None:
+    def _listen(self, feed: TopicFeed, mask: int) -> None:
         # A closed connection has left the epoll set.
         with contextlib.suppress(OSError, ValueError):
             self._epoll.modify(feed.sock.fileno(), mask)

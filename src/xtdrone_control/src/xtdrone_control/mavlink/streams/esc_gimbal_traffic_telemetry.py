@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control import frames
-from xtdrone_control.autopilot import modes
+from xtdrone_control import frames, modes
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.commander.manual_control import CHANNELS
 from xtdrone_control.autopilot.flight_tasks.obstacle_map import FORWARD_FRAME

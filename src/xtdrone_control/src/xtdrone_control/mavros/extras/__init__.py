@@ -1,0 +1,1 @@
+"""The plugins of mavros_extras, one module each; ``plugins`` lists them."""

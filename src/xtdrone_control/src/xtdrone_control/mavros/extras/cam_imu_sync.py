@@ -7,9 +7,9 @@ from typing import Any
 
 from mavros_msgs.msg import CamIMUStamp
 
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.relayed_messages import wrapped
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.relayed_messages import wrap_bits
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 
 class CamImuSyncPlugin(Plugin):
@@ -26,5 +26,5 @@ class CamImuSyncPlugin(Plugin):
     def _on_trigger(self, trigger: Any) -> None:
         message = self._stamp.message
         self.uas.stamp_us(SimpleNamespace(stamp=message.frame_stamp), trigger.time_usec)
-        message.frame_seq_id = wrapped(trigger.seq, 32)
+        message.frame_seq_id = wrap_bits(trigger.seq, 32)
         self._stamp.publish(message)

@@ -20,24 +20,24 @@ def _debug(m: Any) -> Mapping[str, Any]:
     return {"type": DebugValue.TYPE_DEBUG, "index": m.ind, "array_id": _NONE, "value_float": m.value}
 
 
-def _named(kind: int, m: Any) -> dict[str, Any]:
+def _named_value(kind: int, m: Any) -> dict[str, Any]:
     return {"type": kind, "index": _NONE, "array_id": _NONE, "name": m.name.rstrip("\0")}
 
 
 def _vector(m: Any) -> Mapping[str, Any]:
-    return {**_named(DebugValue.TYPE_DEBUG_VECT, m), "data": [m.x, m.y, m.z]}
+    return {**_named_value(DebugValue.TYPE_DEBUG_VECT, m), "data": [m.x, m.y, m.z]}
 
 
 def _array(m: Any) -> Mapping[str, Any]:
-    return {**_named(DebugValue.TYPE_DEBUG_FLOAT_ARRAY, m), "array_id": m.array_id, "data": list(m.data)}
+    return {**_named_value(DebugValue.TYPE_DEBUG_FLOAT_ARRAY, m), "array_id": m.array_id, "data": list(m.data)}
 
 
 def _float(m: Any) -> Mapping[str, Any]:
-    return {**_named(DebugValue.TYPE_NAMED_VALUE_FLOAT, m), "value_float": m.value}
+    return {**_named_value(DebugValue.TYPE_NAMED_VALUE_FLOAT, m), "value_float": m.value}
 
 
 def _int(m: Any) -> Mapping[str, Any]:
-    return {**_named(DebugValue.TYPE_NAMED_VALUE_INT, m), "value_int": m.value}
+    return {**_named_value(DebugValue.TYPE_NAMED_VALUE_INT, m), "value_int": m.value}
 
 
 def _send_debug(m: Any) -> Mapping[str, Any]:

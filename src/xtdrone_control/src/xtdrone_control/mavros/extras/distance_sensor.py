@@ -14,11 +14,11 @@ from sensor_msgs.msg import Range
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.lib.plugin_settings import Params
 from xtdrone_control.mavros.link.ros_values_to_mavlink import FLOAT32_MAX, whole
-from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.relayed_messages import In
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _CENTIMETRES = 100.0  # per metre
 _SAMPLES = 50  # used for a variance

@@ -6,8 +6,8 @@ from typing import Any
 
 from mavros_msgs.msg import ESCInfo, ESCInfoItem, ESCStatus, ESCStatusItem
 
-from xtdrone_control.mavros.plugin import Feed, Plugin, Topic
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed, Topic
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _BATCH = 4  # ESCs in one MAVLink message
 _CENTIDEGREES = 100  # per degree Celsius

@@ -11,9 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.relayed_messages import In, limited
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.relayed_messages import In, limit_rate
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _GPS_EPOCH = 315_964_800 - 18  # s of Unix time at the start of GPS time, with the leap seconds since then
 _WEEK_MS = 7 * 86_400_000
@@ -63,7 +62,7 @@ class FakeGpsPlugin(Plugin):
         topic, kind, position = source
         name, convert = ("HIL_GPS", self._hil_gps) if get("fake_gps/use_hil_gps", True) else ("GPS_INPUT", self._input)
         row = In(f"fake_gps/{topic}", kind, name, lambda m: convert(m, *self._fix(m, position(m))))
-        uas.subscribe(row.topic, row.kind, limited(uas, lambda m: row.forward(uas, m), "fake_gps/gps_rate", 5.0))
+        uas.subscribe(row.topic, row.kind, limit_rate(uas, lambda m: row.forward(uas, m), "fake_gps/gps_rate", 5.0))
 
     def _source(self) -> tuple[str, type, Callable[[Any], Any]] | None:
         """Return topic and type of the poses, and a function that extracts the position."""

@@ -12,10 +12,10 @@ from pymavlink.dialects.v20 import common as mavlink
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.lib.mav_frames import mav_frame
-from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.relayed_messages import In
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _PREFIX = "LANDING_TARGET_TYPE_"
 _TYPES = {

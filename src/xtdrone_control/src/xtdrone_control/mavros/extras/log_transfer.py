@@ -17,8 +17,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from rospy import Time
 from std_srvs.srv import Trigger, TriggerResponse
 
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 
 class LogTransferPlugin(Plugin):

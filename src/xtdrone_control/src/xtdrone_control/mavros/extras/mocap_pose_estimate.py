@@ -6,8 +6,7 @@ from geometry_msgs.msg import PoseStamped
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _NO_COVARIANCE = [0.0] * 21
 

@@ -11,8 +11,8 @@ from mavros_msgs.srv import MountConfigure, MountConfigureResponse
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _CONFIGURE, _CONTROL = mavlink.MAV_CMD_DO_MOUNT_CONFIGURE, mavlink.MAV_CMD_DO_MOUNT_CONTROL
 _FIELDS = ("pitch", "roll", "yaw", "altitude", "latitude", "longitude")  # of MountControl, as DO_MOUNT_CONTROL has them

@@ -10,9 +10,8 @@ from sensor_msgs.msg import LaserScan
 
 from xtdrone_control.mavros.lib.mav_frames import mav_frame
 from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
-from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.relayed_messages import In
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _BINS = 72  # of an OBSTACLE_DISTANCE
 _UNKNOWN = 65535

@@ -9,8 +9,8 @@ from nav_msgs.msg import Odometry
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 # MAV_FRAME
 _LOCAL_NED, _BODY_NED, _BODY_FRD, _LOCAL_FRD = 1, 8, 12, 20
@@ -54,7 +54,7 @@ class OdometryPlugin(Plugin):
         velocity, covariance = (m.vx, m.vy, m.vz), _matrix(m.velocity_covariance)
         if m.child_frame_id not in _BODIES:
             to_body = m.q[0], -m.q[1], -m.q[2], -m.q[3]
-            velocity, covariance = frames.rotate(to_body, velocity), _turned(to_body, covariance)
+            velocity, covariance = frames.rotate(to_body, velocity), _rotate_covariance(to_body, covariance)
         v, w = twist.linear, twist.angular
         v.x, v.y, v.z = frames.frd_to_flu(*velocity)
         w.x, w.y, w.z = frames.frd_to_flu(m.rollspeed, m.pitchspeed, m.yawspeed)
@@ -88,7 +88,7 @@ def _matrix(upper: Sequence[float]) -> list[float]:
     return frames.from_upper_triangle([value if value == value else 0.0 for value in upper])
 
 
-def _turned(q: frames.Quaternion, covariance: list[float]) -> list[float]:
+def _rotate_covariance(q: frames.Quaternion, covariance: list[float]) -> list[float]:
     """Return a 6x6 covariance, row by row, with its first vector rotated by ``q``."""
     columns = [frames.rotate(q, (covariance[i], covariance[6 + i], covariance[12 + i])) for i in range(6)]
     rows = [[column[i] for column in columns] for i in range(3)]

@@ -7,21 +7,21 @@ from typing import Any
 from mavros_msgs.msg import OpticalFlowRad
 from sensor_msgs.msg import Range, Temperature
 
-from xtdrone_control.mavros.extras.relayed import FLOW_GYRO, turned_flow
-from xtdrone_control.mavros.plugin import Feed
+from xtdrone_control.mavros.extras.relayed import FLOW_GYRO, convert_flow
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.relayed_messages import In, Relay
 from xtdrone_control.mavros.uas import Uas
 
 
-def _sent(m: Any) -> dict[str, Any]:
-    return {**turned_flow(m), "temperature": m.temperature * 100}
+def _fields(m: Any) -> dict[str, Any]:
+    return {**convert_flow(m), "temperature": m.temperature * 100}
 
 
 class Px4FlowPlugin(Relay):
     """MAVROS's px4flow: angles in FLU; the distance is also published as a range finder's."""
 
     name = "px4flow"
-    ins = (In("px4flow/raw/send", OpticalFlowRad, "OPTICAL_FLOW_RAD", _sent, free=FLOW_GYRO),)
+    ins = (In("px4flow/raw/send", OpticalFlowRad, "OPTICAL_FLOW_RAD", _fields, free=FLOW_GYRO),)
 
     def __init__(self, uas: Uas) -> None:
         """Advertise and subscribe."""
@@ -45,7 +45,7 @@ class Px4FlowPlugin(Relay):
         for name in ("integration_time_us", "quality", "time_delta_distance_us", "distance"):
             setattr(flow, name, getattr(m, name))
         flow.integrated_x, flow.integrated_xgyro = m.integrated_x, m.integrated_xgyro
-        for name, value in turned_flow(m).items():
+        for name, value in convert_flow(m).items():
             setattr(flow, name, value)
         flow.temperature = int(celsius)
         self._temperature.message.temperature = celsius

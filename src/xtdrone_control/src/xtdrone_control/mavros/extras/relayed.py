@@ -39,9 +39,8 @@ from std_msgs.msg import UInt8
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.link.ros_values_to_mavlink import FieldError, whole
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.relayed_messages import In, Out, Relay, relay, text, wrapped
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.relayed_messages import In, Out, Relay, relay, text, wrap_bits
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 Fields = Mapping[str, Any]
 
@@ -131,17 +130,17 @@ GpsInputPlugin = relay("gps_input", In("gps_input/gps_input", GPSINPUT, "GPS_INP
 
 
 def _gps1(m: Any) -> Fields:
-    return {"hdg_acc": wrapped(m.hdg_acc, 32), "dgps_numch": _UNKNOWN_U8, "dgps_age": _UNKNOWN_U32}
+    return {"hdg_acc": wrap_bits(m.hdg_acc, 32), "dgps_numch": _UNKNOWN_U8, "dgps_age": _UNKNOWN_U32}
 
 
 def _gps2(m: Any) -> Fields:
-    return {"hdg_acc": wrapped(m.hdg_acc, 32)}
+    return {"hdg_acc": wrap_bits(m.hdg_acc, 32)}
 
 
 def _rtk(m: Any) -> Fields:
     return {
         "header.frame_id": _BASELINE_FRAMES.get(m.baseline_coords_type, ""),
-        "wn": wrapped(m.wn, 16),
+        "wn": wrap_bits(m.wn, 16),
         "baseline_a": m.baseline_a_mm,
         "baseline_b": m.baseline_b_mm,
         "baseline_c": m.baseline_c_mm,
@@ -199,7 +198,7 @@ def _hil_sensor(m: Any) -> Fields:
 FLOW_GYRO = ("integrated_xgyro", "integrated_ygyro", "integrated_zgyro")  # NaN: not measured; PX4 sends it too
 
 
-def turned_flow(m: Any) -> Fields:
+def convert_flow(m: Any) -> Fields:
     """Return the angles of either optical-flow message, converted between FRD and FLU (self-inverse)."""
     return {
         "integrated_y": -m.integrated_y,
@@ -209,7 +208,7 @@ def turned_flow(m: Any) -> Fields:
 
 
 def _hil_flow(m: Any) -> Fields:
-    return {**turned_flow(m), "sensor_id": 127, "temperature": m.temperature * 100}
+    return {**convert_flow(m), "sensor_id": 127, "temperature": m.temperature * 100}
 
 
 def _hil_rc(m: Any) -> Fields:

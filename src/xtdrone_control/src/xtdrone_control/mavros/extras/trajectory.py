@@ -11,9 +11,9 @@ from nav_msgs.msg import Path
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.lib.setpoint_messages import set_xyz, vector_fields, xyz
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _COUNT = 5  # points of one message
 _NO_COMMAND = 65535
@@ -40,7 +40,7 @@ class TrajectoryPlugin(Plugin):
         self._desired = uas.topic("trajectory/desired", Trajectory())
         self._desired.message.header.frame_id = "local_origin"
         self.messages = {"TRAJECTORY_REPRESENTATION_WAYPOINTS": Feed(self._on_waypoints, self._desired)}
-        uas.subscribe(_GENERATED, Trajectory, self._generated)
+        uas.subscribe(_GENERATED, Trajectory, self._on_generated)
         uas.subscribe(_PATH, Path, self._path)
 
     def _on_waypoints(self, m: Any) -> None:
@@ -56,11 +56,11 @@ class TrajectoryPlugin(Plugin):
             set_xyz(point.position, frames.ned_to_enu(m.pos_x[index], m.pos_y[index], m.pos_z[index]))
             set_xyz(point.velocity, frames.ned_to_enu(m.vel_x[index], m.vel_y[index], m.vel_z[index]))
             set_xyz(point.acceleration_or_force, frames.ned_to_enu(m.acc_x[index], m.acc_y[index], m.acc_z[index]))
-            point.yaw = _turned_yaw(m.pos_yaw[index])
+            point.yaw = _convert_yaw(m.pos_yaw[index])
             point.yaw_rate = -m.vel_yaw[index]
         self._desired.publish(message)
 
-    def _generated(self, message: Trajectory) -> None:
+    def _on_generated(self, message: Trajectory) -> None:
         bezier = message.type == Trajectory.MAV_TRAJECTORY_REPRESENTATION_BEZIER
         used = [index for index in range(_COUNT) if message.point_valid[index]]
         points = [_points(message)[index] for index in used]
@@ -72,7 +72,7 @@ class TrajectoryPlugin(Plugin):
         if not self.uas.finite(_GENERATED, ((field, value) for field, value in fields if not isnan(value))):
             return
         positions = [frames.enu_to_ned(*xyz(point.position)) for point in points]
-        yaws = [_turned_yaw(point.yaw) for point in points]
+        yaws = [_convert_yaw(point.yaw) for point in points]
         time_us = message.header.stamp.to_nsec() // 1000
         if bezier:
             self._send_bezier(time_us, positions, [message.time_horizon[index] for index in used], yaws)
@@ -111,8 +111,8 @@ class TrajectoryPlugin(Plugin):
                 *_columns(positions),
                 *_columns(velocities),
                 *_columns(accelerations),
-                _filled(yaws),
-                _filled(yaw_rates),
+                _pad(yaws),
+                _pad(yaw_rates),
                 [_NO_COMMAND] * _COUNT,
             )
         )
@@ -123,7 +123,7 @@ class TrajectoryPlugin(Plugin):
         """Send the control points, NED, and the duration of each in seconds."""
         self.uas.link.send(
             mavlink.MAVLink_trajectory_representation_bezier_message(
-                time_us, len(positions), *_columns(positions), _filled(spans), _filled(yaws)
+                time_us, len(positions), *_columns(positions), _pad(spans), _pad(yaws)
             )
         )
 
@@ -140,7 +140,7 @@ def _point_fields(name: str, point: PositionTarget) -> list[tuple[str, float]]:
     return [*fields, (f"{name}.yaw", point.yaw), (f"{name}.yaw_rate", point.yaw_rate)]
 
 
-def _turned_yaw(yaw: float) -> float:
+def _convert_yaw(yaw: float) -> float:
     """Convert a yaw between north clockwise and east counter-clockwise (self-inverse); NaN stays NaN."""
     return frames.yaw_ned_to_enu(yaw) if isfinite(yaw) else yaw
 
@@ -151,5 +151,5 @@ def _columns(vectors: Sequence[frames.Vector]) -> Iterable[list[float]]:
     return [[vector[axis] for vector in filled] for axis in range(3)]
 
 
-def _filled(values: Sequence[float]) -> list[float]:
+def _pad(values: Sequence[float]) -> list[float]:
     return [*values, *[nan] * (_COUNT - len(values))]

@@ -9,8 +9,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _NO_COVARIANCE = [0.0] * 21  # as in MAVROS: the autopilot then uses its minimum noise
 

@@ -8,9 +8,8 @@ from typing import Any
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped, Vector3Stamped
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.relayed_messages import In
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _NO_COVARIANCE = [0.0] * 36
 _LINEAR = [6 * row + column for row in range(3) for column in range(3)]  # of a 6x6 matrix

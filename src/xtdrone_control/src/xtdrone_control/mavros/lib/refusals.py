@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from typing import Any, NamedTuple
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.events import event_texts
 from xtdrone_control.autopilot.events.event_catalogue import HEALTH, WITH_CHECKS, Definition
 from xtdrone_control.autopilot.events.events import ERROR
@@ -31,9 +31,9 @@ class FailingCheck(NamedTuple):
     """A failing check.
 
     Attributes:
-        name: of PX4's event, such as ``check_modes_local_pos``; empty if it is not known here.
+        name: Name of PX4's event, such as ``check_modes_local_pos``; empty if it is not known here.
         modes: the affected navigation states, one bit each.
-        level: of the event; smaller is worse.
+        level: Level of the event; smaller is worse.
         words: its text.
     """
 

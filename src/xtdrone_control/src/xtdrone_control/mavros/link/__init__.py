@@ -1,0 +1,1 @@
+"""The MAVLink side of one vehicle: datagrams, acknowledgements, requests, plans and files."""

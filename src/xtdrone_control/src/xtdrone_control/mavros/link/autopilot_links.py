@@ -1,9 +1,10 @@
 """UDP links to the autopilots and the thread that reads them.
 
-The receiver thread splits datagrams into frames. It handles answers to pending requests (``Link.replies``) itself,
-because the waiting thread may be the one that holds the simulation; it queues telemetry that plugins need for the main
-thread and drops the rest undecoded. While no request is pending and the simulator counts the datagrams of every link,
-the main thread reads them itself, and the receiver thread only prevents the sockets' buffers from filling up.
+The receiver thread splits datagrams into frames. It handles answers to pending requests (``AutopilotLink.replies``)
+itself, because the waiting thread may be the one that holds the simulation; it queues telemetry that plugins need for
+the main thread and drops the rest undecoded. While no request is pending and the simulator counts the datagrams of
+every link, the main thread reads them itself, and the receiver thread only prevents the sockets' buffers from filling
+up.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import re
 import select
 import socket
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -23,8 +25,25 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_native.mavlink_wire import receive, split
 
 from xtdrone_control.mavlink.wire.codec import frame_error
-from xtdrone_control.mavros.lib.log_throttle import Throttle
 from xtdrone_control.mavros.link.ros_values_to_mavlink import pack
+
+
+class Throttle:
+    """Allows each key once in ``interval`` seconds; of wall time, because people read logs."""
+
+    def __init__(self, interval: float = 5.0) -> None:
+        """Set the interval in seconds."""
+        self._interval = interval
+        self._last: dict[str, float] = {}
+
+    def passes(self, key: str) -> bool:
+        """Return whether ``key`` may be logged now."""
+        now = time.monotonic()
+        if now - self._last.get(key, -self._interval) < self._interval:
+            return False
+        self._last[key] = now
+        return True
+
 
 log = logging.getLogger("rosout.mavros")
 
@@ -38,7 +57,7 @@ RAW = -1
 """Used in place of a message id to request every frame, undecoded."""
 
 
-class LinkError(RuntimeError):
+class AutopilotLinkError(RuntimeError):
     """A link cannot be opened: its address is malformed or already in use."""
 
 
@@ -54,11 +73,11 @@ class FcuUrl(NamedTuple):
         """Return a copy with both ports raised by ``number``.
 
         Raises:
-            LinkError: a port would exceed 65535.
+            AutopilotLinkError: a port would exceed 65535.
         """
         highest = max(self.bind_port, self.remote_port) + number
         if highest > _HIGHEST_PORT:
-            raise LinkError(f"fleet_url: vehicle {number} would get port {highest}, at most {_HIGHEST_PORT}")
+            raise AutopilotLinkError(f"fleet_url: vehicle {number} would get port {highest}, at most {_HIGHEST_PORT}")
         return self._replace(bind_port=self.bind_port + number, remote_port=self.remote_port + number)
 
 
@@ -68,15 +87,15 @@ def parse_fcu_url(url: str) -> FcuUrl:
     Missing parts default to MAVROS's values: bind 0.0.0.0:14555, remote 127.0.0.1:14550.
 
     Raises:
-        LinkError: another scheme or format, or a port outside 1..65535.
+        AutopilotLinkError: another scheme or format, or a port outside 1..65535.
     """
     match = re.fullmatch(r"udp://([^:@/]*)(?::(\d+))?@([^:@/]*)(?::(\d+))?/?(?:\?ids=\d+,\d+)?", url)
     if match is None:
-        raise LinkError(f"fcu_url: {url!r} is not of the form udp://[host][:port]@[host][:port]")
+        raise AutopilotLinkError(f"fcu_url: {url!r} is not of the form udp://[host][:port]@[host][:port]")
     parts = FcuUrl(match[1] or "0.0.0.0", int(match[2] or 14555), match[3] or "127.0.0.1", int(match[4] or 14550))
     for port in (parts.bind_port, parts.remote_port):
         if not 1 <= port <= _HIGHEST_PORT:
-            raise LinkError(f"fcu_url: port {port} in {url!r} is not in 1..{_HIGHEST_PORT}")
+            raise AutopilotLinkError(f"fcu_url: port {port} in {url!r} is not in 1..{_HIGHEST_PORT}")
     return parts
 
 
@@ -88,24 +107,24 @@ def bind_host_for(fcu_host: str, bind_host: str = "") -> str:
         bind_host: address of this machine; empty: 127.0.0.1 if the autopilots run here, otherwise 0.0.0.0 (all).
 
     Raises:
-        LinkError: the name has no address, the address is unreachable, or ``bind_host`` is not an address of this
-            machine.
+        AutopilotLinkError: the name has no address, the address is unreachable, or ``bind_host`` is not an address
+            of this machine.
     """
     try:
         remote = socket.gethostbyname(fcu_host)
     except (OSError, UnicodeError) as error:
-        raise LinkError(f"fcu_host: {fcu_host!r} has no IPv4 address: {_reason(error)}") from error
+        raise AutopilotLinkError(f"fcu_host: {fcu_host!r} has no IPv4 address: {_reason(error)}") from error
     bind_host = bind_host or ("127.0.0.1" if remote.startswith("127.") else "0.0.0.0")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((bind_host, 0))
         except (OSError, UnicodeError) as error:
             reason = _reason(error)
-            raise LinkError(f"bind_host: {bind_host!r} cannot be bound on this machine: {reason}") from error
+            raise AutopilotLinkError(f"bind_host: {bind_host!r} cannot be bound on this machine: {reason}") from error
         try:
             probe.connect((remote, _PROBE_PORT))  # looks up the route, sends nothing
         except OSError as error:
-            raise LinkError(
+            raise AutopilotLinkError(
                 f"fcu_host: {fcu_host!r} ({remote}) cannot be reached from {bind_host}: {_reason(error)}"
             ) from error
     return bind_host
@@ -115,7 +134,7 @@ def _reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
-class Link:
+class AutopilotLink:
     """One vehicle's UDP link.
 
     Attributes:
@@ -149,7 +168,7 @@ class Link:
             source: system and component id used for sending.
 
         Raises:
-            LinkError: the local port cannot be bound, or the remote host has no address.
+            AutopilotLinkError: the local port cannot be bound, or the remote host has no address.
         """
         self.name = name
         self.port = url.bind_port
@@ -176,7 +195,7 @@ class Link:
             self.socket.bind((url.bind_host, url.bind_port))
         except OSError as error:
             self.socket.close()
-            raise LinkError(
+            raise AutopilotLinkError(
                 f"{name}: UDP port {url.bind_port} cannot be bound for {url.remote_host}:{url.remote_port}: "
                 f"{error.strerror or error}; is another mavros or ground station using it?"
             ) from error
@@ -281,13 +300,13 @@ class Link:
             log.warning("%s: MAVLink datagram of %d bytes dropped: %s", self.name, len(datagram), error)
 
 
-class Receiver:
+class AutopilotReceiver:
     """Thread that reads from all links: on arrival while ``attention`` is held or a link is not counted, else rarely.
 
     Reading on arrival delays the main thread, because both need the interpreter's lock.
     """
 
-    def __init__(self, links: Iterable[Link]) -> None:
+    def __init__(self, links: Iterable[AutopilotLink]) -> None:
         """Prepare the thread; ``start`` runs it."""
         self._links = list(links)
         self._by_port = {link.port: link for link in self._links}
@@ -415,7 +434,7 @@ class Receiver:
         return not self._attention and len(self._uncounted) == len(self._links)
 
     @staticmethod
-    def _read(link: Link) -> None:
+    def _read(link: AutopilotLink) -> None:
         try:
             link.read()
         except Exception:  # a failing handler must not end the thread that serves all vehicles

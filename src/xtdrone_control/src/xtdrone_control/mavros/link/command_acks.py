@@ -34,7 +34,7 @@ class _Waiting:
         self.expires = time.monotonic() + limit
 
 
-class Commands:
+class AwaitedCommands:
     """Pending commands of one autopilot; acks carry no sequence number and go to the oldest command of their kind."""
 
     def __init__(

@@ -151,7 +151,7 @@ class FtpClient:
                 answer = self._ask(_LIST, data=_path(path), offset=offset)
                 if answer.at_end:
                     return entries
-                records = _records(_accepted(answer).data)
+                records = _records(_require_ack(answer).data)
                 if not records:
                     return entries
                 offset += len(records)
@@ -164,7 +164,7 @@ class FtpClient:
         with self._turn:
             if path in self._sessions:
                 raise FtpError(errno.EBUSY)
-            answer = _accepted(self._ask(_OPEN[mode], data=_path(path)))
+            answer = _require_ack(self._ask(_OPEN[mode], data=_path(path)))
             self._sessions[path] = answer.session
             return _number(answer.data) if len(answer.data) >= _SIZE.size else 0
 
@@ -173,7 +173,7 @@ class FtpClient:
         with self._turn:
             session = self._session(path)
             del self._sessions[path]
-            _accepted(self._ask(_TERMINATE, session))
+            _require_ack(self._ask(_TERMINATE, session))
 
     def read(self, path: str, offset: int, size: int) -> bytes:
         """Read up to ``size`` bytes of an open file from ``offset``; fewer at its end."""
@@ -184,7 +184,7 @@ class FtpClient:
                 answer = self._ask(_READ, session, offset + len(data))
                 if answer.at_end:
                     return bytes(data)
-                part = _accepted(answer).data
+                part = _require_ack(answer).data
                 data += part[: size - len(data)]
                 if len(part) < LARGEST or len(data) >= size:
                     return bytes(data)
@@ -196,7 +196,7 @@ class FtpClient:
             done = 0
             while True:
                 part = data[done : done + LARGEST]
-                written = _number(_accepted(self._ask(_WRITE, session, offset + done, part)).data)
+                written = _number(_require_ack(self._ask(_WRITE, session, offset + done, part)).data)
                 if part and not 0 < written <= len(part):
                     raise FtpError(errno.EIO)
                 done += written
@@ -244,7 +244,7 @@ class FtpClient:
 
     def _do(self, opcode: int, data: bytes = b"", offset: int = 0) -> _Answer:
         with self._turn:
-            return _accepted(self._ask(opcode, data=data, offset=offset))
+            return _require_ack(self._ask(opcode, data=data, offset=offset))
 
     def _ask(self, opcode: int, session: int = 0, offset: int = 0, data: bytes = b"") -> _Answer:
         """Send a request, with retries, and return its answer; the caller holds the lock."""
@@ -285,7 +285,7 @@ class FtpClient:
                     return answer
 
 
-def _accepted(answer: _Answer) -> _Answer:
+def _require_ack(answer: _Answer) -> _Answer:
     if (failure := answer.failure()) is not None:
         raise failure
     return answer

@@ -28,7 +28,7 @@ OFF_US = -1
 _ATTEMPTS = 3
 
 
-class Streams:
+class StreamRequests:
     """The stream requests made to one autopilot."""
 
     def __init__(self, request: Callable[[int, int], None], rates: Mapping[str, float]) -> None:
@@ -63,7 +63,7 @@ class Streams:
         self._asked.clear()
         self._refused.clear()
 
-    def switched_off(self) -> set[int]:
+    def stopped_ids(self) -> set[int]:
         """Return the ids of the messages that the autopilot was asked to stop."""
         return {number for number, interval in self._asked.items() if interval == OFF_US}
 

@@ -20,7 +20,6 @@ from xtdrone_control.mavros.extras.relayed import PASSED_ON
 from xtdrone_control.mavros.extras.trajectory import TrajectoryPlugin
 from xtdrone_control.mavros.extras.vision_pose_estimate import VisionPosePlugin
 from xtdrone_control.mavros.extras.vision_speed_estimate import VisionSpeedPlugin
-from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.plugins.actuator_control import ActuatorControlPlugin
 from xtdrone_control.mavros.plugins.altitude import AltitudePlugin
 from xtdrone_control.mavros.plugins.command import CommandPlugin
@@ -45,6 +44,7 @@ from xtdrone_control.mavros.plugins.sys_status import SysStatusPlugin
 from xtdrone_control.mavros.plugins.sys_time import SysTimePlugin
 from xtdrone_control.mavros.plugins.vfr_hud import VfrHudPlugin
 from xtdrone_control.mavros.plugins.waypoint import GeofencePlugin, RallypointPlugin, WaypointPlugin
+from xtdrone_control.mavros.uas import Plugin
 
 PLUGINS: tuple[type[Plugin], ...] = (
     SysStatusPlugin,

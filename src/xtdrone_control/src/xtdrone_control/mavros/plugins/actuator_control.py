@@ -7,8 +7,8 @@ from typing import Any
 from mavros_msgs.msg import ActuatorControl
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _TOPIC = "actuator_control"
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from mavros_msgs.msg import Altitude
 
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 
 class AltitudePlugin(Plugin):

@@ -28,9 +28,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.wire.codec import decoder
 from xtdrone_control.mavros.link.command_acks import ACK_LIMIT
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.relayed_messages import wrapped
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.relayed_messages import wrap_bits
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _SYSTEM_CONTROL = 250  # MAV_COMP_ID_SYSTEM_CONTROL
 _decode_ack = decoder("COMMAND_ACK")
@@ -124,7 +123,7 @@ class CommandPlugin(Plugin):
 
     def _command_ack(self, request: Any) -> CommandAckResponse:
         """Acknowledge a command sent by the autopilot."""
-        param2 = wrapped(request.result_param2, 32)
+        param2 = wrap_bits(request.result_param2, 32)
         self.uas.link.send(
             mavlink.MAVLink_command_ack_message(
                 request.command, request.result, request.progress, param2, *self._target

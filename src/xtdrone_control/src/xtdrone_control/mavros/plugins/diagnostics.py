@@ -14,12 +14,11 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.lib.battery_cells import cell_voltages
-from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params
-from xtdrone_control.mavros.lib.px4_modes import mode_name
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.plugin_lists import PluginLists
-from xtdrone_control.mavros.uas import RAW, Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.lib.plugin_settings import ParamError, Params, PluginLists
+from xtdrone_control.mavros.plugins.sys_status import cell_voltages
+from xtdrone_control.mavros.uas import RAW, Plugin, Uas
+from xtdrone_control.modes import mode_name
 
 _OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s of ROS time
@@ -179,8 +178,8 @@ class DiagnosticsPlugin(Plugin):
             [
                 ("Heartbeats since startup", str(self._heartbeats.count)),
                 ("Frequency (Hz)", f"{frequency:f}"),
-                ("Vehicle type", _described("MAV_TYPE", kind)),
-                ("Autopilot type", _described("MAV_AUTOPILOT", autopilot)),
+                ("Vehicle type", _describe("MAV_TYPE", kind)),
+                ("Autopilot type", _describe("MAV_AUTOPILOT", autopilot)),
                 ("Mode", mode_name(beat.base_mode, beat.custom_mode) if beat else ""),
                 ("System status", mavlink.enums["MAV_STATE"][state].name[len("MAV_STATE_") :].capitalize()),
             ],
@@ -327,7 +326,7 @@ def _min_voltages(params: Params) -> list[float]:
     return [float(v) for v in values[:_MOST_BATTERIES]]
 
 
-def _described(enum: str, value: int) -> str:
+def _describe(enum: str, value: int) -> str:
     """Return MAVROS's text for an enumeration value: the beginning of MAVLink's description."""
     entry = mavlink.enums[enum].get(value)
     if entry is None:

@@ -23,8 +23,7 @@ from mavros_msgs.srv import (
 from std_srvs.srv import Empty, EmptyResponse
 
 from xtdrone_control.mavros.link.ftp_client import FtpClient, FtpError
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 
 class FtpPlugin(Plugin):

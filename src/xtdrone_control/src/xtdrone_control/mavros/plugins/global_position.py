@@ -14,9 +14,9 @@ from std_msgs.msg import Float64, UInt32
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.feeds import Feed, Topic
 from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
-from xtdrone_control.mavros.plugin import Feed, Plugin, Topic
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _UNKNOWN = 65535  # of the 16-bit fields
 _UNKNOWN_COVARIANCE = [-1.0, *[0.0] * 8]

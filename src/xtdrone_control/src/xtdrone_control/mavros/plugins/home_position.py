@@ -9,9 +9,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from std_srvs.srv import Trigger, TriggerResponse
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _POLL_PERIOD_NS = 10_000_000_000  # MAVROS's REQUEST_POLL_TIME
 _CHECK_PERIOD = 1.0  # s of ROS time

@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import FluidPressure, Imu, MagneticField, Temperature
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _GAUSS_TO_TESLA = 1e-4
 _CENTIDEGREE = 0.01  # degrees C

@@ -16,8 +16,8 @@ from nav_msgs.msg import Odometry
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 # Upper triangle of the 9x9 covariance of LOCAL_POSITION_NED_COV (x y z vx vy vz ax ay az), row by row: its diagonal.
 _DIAGONAL = (0, 9, 17, 24, 30, 35, 39, 42, 44)

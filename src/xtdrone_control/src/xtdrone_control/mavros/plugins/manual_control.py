@@ -7,9 +7,9 @@ from typing import Any
 from mavros_msgs.msg import ManualControl
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.link.ros_values_to_mavlink import whole
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _AXES = "xyzr"  # forward, right, up, clockwise
 _SCALE = 1000.0

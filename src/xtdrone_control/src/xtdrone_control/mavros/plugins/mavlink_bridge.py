@@ -8,9 +8,9 @@ from mavros_msgs.msg import Mavlink
 
 from xtdrone_control.mavlink.wire.codec import FrameError, decoder
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.link.raw_frames import RawFrameError, fill, to_frame
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import RAW, Uas
+from xtdrone_control.mavros.uas import RAW, Plugin, Uas
 
 _COMMANDS = {MESSAGE_ID[name]: decoder(name) for name in ("COMMAND_LONG", "COMMAND_INT")}
 

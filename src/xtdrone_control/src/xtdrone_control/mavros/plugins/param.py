@@ -23,8 +23,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.mavlink.wire.codec import FrameError, decoder
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _INTEGERS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}  # MAV_PARAM_TYPE to struct's letter
 _REAL = 9
@@ -156,7 +156,7 @@ class ParamPlugin(Plugin):
                     return True
         return False
 
-    def _known(self, name: str) -> _Value | None:
+    def _lookup(self, name: str) -> _Value | None:
         """Return a parameter's value, fetching it if it is not cached yet; None if it does not exist."""
         encoded = name.encode()
         if not 0 < len(encoded) <= 16 or 0 in encoded:
@@ -213,7 +213,7 @@ class ParamPlugin(Plugin):
         self.uas.warn(f"param {name}", "param/set: %s is out of use%s", name, former_parameters.hint(name))
 
     def _get(self, request: Any) -> ParamGetResponse:
-        value = self._known(request.param_id)
+        value = self._lookup(request.param_id)
         if value is None:
             self._warn_of("param/get", request.param_id)
             return ParamGetResponse(False, ParamValue())
@@ -221,7 +221,7 @@ class ParamPlugin(Plugin):
 
     def _set(self, request: Any) -> ParamSetResponse:
         name, asked = request.param_id, request.value
-        known = self._known(name)
+        known = self._lookup(name)
         if known is None:
             self._warn_of("param/set", name)
             return ParamSetResponse(False, ParamValue())
@@ -267,7 +267,7 @@ class ParamPlugin(Plugin):
         mirrored = self.uas.ros.get_param(f"{self.uas.prefix}/param", {})
         sent = 0
         for name, number in sorted(mirrored.items()) if isinstance(mirrored, dict) else ():
-            known = self._known(name)
+            known = self._lookup(name)
             if known is None or isinstance(number, bool) or not isinstance(number, (int, float)):
                 self.uas.warn(f"param {name}", "ROS parameter %s does not exist on the autopilot", name)
             else:  # MAVROS writes and counts those that are equal, too

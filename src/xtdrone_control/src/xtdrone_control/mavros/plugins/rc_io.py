@@ -7,8 +7,8 @@ from typing import Any
 from mavros_msgs.msg import OverrideRCIn, RCIn, RCOut
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _SERVOS = 16  # outputs in one SERVO_OUTPUT_RAW, MAVLink 2
 _CHANNELS = 18  # channels in one RC_CHANNELS or RC_CHANNELS_OVERRIDE

@@ -6,8 +6,7 @@ from geometry_msgs.msg import Vector3Stamped
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavros.lib.setpoint_messages import FORCE, ONLY_ACCELERATION, position_target, vector_fields, xyz
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _TOPIC = "setpoint_accel/accel"
 

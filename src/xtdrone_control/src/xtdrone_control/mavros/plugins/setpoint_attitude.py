@@ -17,8 +17,7 @@ from xtdrone_control.mavros.lib.setpoint_messages import (
 )
 from xtdrone_control.mavros.lib.tf_listener import TfListener
 from xtdrone_control.mavros.link.pairing import Pairing
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _ATTITUDE, _RATES, _THRUST = "setpoint_attitude/attitude", "setpoint_attitude/cmd_vel", "setpoint_attitude/thrust"
 _SETPOINT_SIDE, _THRUST_SIDE = 0, 1

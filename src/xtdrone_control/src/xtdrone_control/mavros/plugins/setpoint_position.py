@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.lib.mav_frames import MavFrame
 from xtdrone_control.mavros.lib.setpoint_messages import (
     ONLY_GLOBAL_POSITION_YAW,
@@ -19,8 +20,7 @@ from xtdrone_control.mavros.lib.setpoint_messages import (
     xyz,
 )
 from xtdrone_control.mavros.lib.tf_listener import TfListener
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _GOAL = "setpoint_position/global_to_local"
 _APART_MS = 500  # maximum time between the local and the global position

@@ -9,6 +9,7 @@ from typing import Any
 from mavros_msgs.msg import AttitudeTarget, GlobalPositionTarget, PositionTarget
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.lib.setpoint_messages import (
     attitude_target,
     certainly_finite,
@@ -18,8 +19,7 @@ from xtdrone_control.mavros.lib.setpoint_messages import (
     vector_fields,
     xyz,
 )
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _LOCAL = "setpoint_raw/local"
 _UNSET_FRAME = 0

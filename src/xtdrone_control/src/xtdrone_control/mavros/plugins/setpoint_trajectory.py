@@ -13,8 +13,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectory
 from xtdrone_control import frames
 from xtdrone_control.mavros.lib.mav_frames import MavFrame
 from xtdrone_control.mavros.lib.setpoint_messages import position_target, set_xyz, vector_fields, xyz
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _TOPIC = "setpoint_trajectory/local"
 _EVERY_STEP = 0.0  # s

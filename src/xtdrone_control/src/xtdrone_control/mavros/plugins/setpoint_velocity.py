@@ -8,8 +8,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 
 from xtdrone_control.mavros.lib.mav_frames import MavFrame
 from xtdrone_control.mavros.lib.setpoint_messages import ONLY_VELOCITY_YAW_RATE, position_target
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 
 class SetpointVelocityPlugin(Plugin):
@@ -21,13 +20,13 @@ class SetpointVelocityPlugin(Plugin):
         """Subscribe."""
         super().__init__(uas)
         self._frame = MavFrame(uas, self.name)
-        uas.subscribe_setpoint("setpoint_velocity/cmd_vel", TwistStamped, self._stamped)
-        uas.subscribe_setpoint("setpoint_velocity/cmd_vel_unstamped", Twist, self._unstamped)
+        uas.subscribe_setpoint("setpoint_velocity/cmd_vel", TwistStamped, self._on_stamped)
+        uas.subscribe_setpoint("setpoint_velocity/cmd_vel_unstamped", Twist, self._on_unstamped)
 
-    def _stamped(self, twist: TwistStamped) -> None:
+    def _on_stamped(self, twist: TwistStamped) -> None:
         self._send("setpoint_velocity/cmd_vel", twist.twist, self.uas.boot_ms(twist.header))
 
-    def _unstamped(self, twist: Twist) -> None:
+    def _on_unstamped(self, twist: Twist) -> None:
         self._send("setpoint_velocity/cmd_vel_unstamped", twist, self.uas.boot_ms())
 
     def _send(self, topic: str, twist: Any, time_boot_ms: int) -> None:

@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.estimator.origin import is_origin
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.feeds import Feed
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 log = logging.getLogger("rosout.mavros")
 

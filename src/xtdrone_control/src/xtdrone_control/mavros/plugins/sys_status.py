@@ -25,11 +25,34 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import BatteryState
 
 from xtdrone_control.mavlink.wire.codec import decoder, version
-from xtdrone_control.mavros.lib.battery_cells import cell_voltages
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.lib.plugin_settings import ParamError
-from xtdrone_control.mavros.lib.px4_modes import ModeError, mode_name, mode_number
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
+from xtdrone_control.modes import ModeError, mode_name, mode_number
+
+_NO_CELL = 65535
+_CONTINUED = 65534  # the next field's voltage is added
+
+
+def cell_voltages(battery: Any) -> list[float]:
+    """Return the voltages (V) of a BATTERY_STATUS as MAVROS reads them (sys_status.cpp, handle_battery_status).
+
+    Fields after the first unused one are ignored. A cell of 0 V counts in ``voltages``, where 65535 marks an unused
+    field, but not in ``voltages_ext``, where MAVLink 2 cuts zeros off. A cell above 65.534 V continues in the next
+    field.
+    """
+    cells: list[float] = []
+    carried = 0.0
+    for fields, ends in ((battery.voltages, (_NO_CELL,)), (battery.voltages_ext, (_NO_CELL, 0))):
+        for millivolts in fields:
+            if millivolts in ends:
+                break
+            carried += millivolts / 1000.0
+            if millivolts != _CONTINUED:
+                cells.append(carried)
+                carried = 0.0
+    return cells
+
 
 log = logging.getLogger("rosout.mavros")
 
@@ -173,7 +196,7 @@ class SysStatusPlugin(Plugin):
         uas.heartbeat = heartbeat
         booted = heartbeat.system_status not in (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT)
         if self._booted and not booted:
-            uas.rebooted()
+            uas.on_reboot()
         if booted and not self._booted:
             uas.on_booted(uas.name)
         self._booted = booted

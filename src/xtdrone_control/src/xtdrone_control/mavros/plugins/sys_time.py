@@ -10,9 +10,9 @@ from rospy import Time
 from sensor_msgs.msg import TimeReference
 
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.lib.plugin_settings import ParamError
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 _MODES = ("MAVLINK", "NONE")
 _TIMESYNC = MESSAGE_ID["TIMESYNC"]

@@ -17,10 +17,10 @@ from mavros_msgs.srv import (
     WaypointSetCurrentResponse,
 )
 
+from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.link.first_pulls import FirstPull
 from xtdrone_control.mavros.link.plan_transfers import MISSION
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import Plugin, Uas
 
 log = logging.getLogger("rosout.mavros")
 

@@ -90,11 +90,11 @@ def table(rows: Iterable[Row]) -> str:
     lines = [_COLUMNS, *(_cells(index, row) for index, row in enumerate(rows))]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     rule = "+".join(["", *("-" * (width + 2) for width in widths), ""])
-    body = ["|".join(["", *map(_centred, line, widths), ""]) for line in lines]
+    body = ["|".join(["", *map(_centre, line, widths), ""]) for line in lines]
     return "\n".join([rule, body[0], rule, *body[1:], *([rule] if body[1:] else [])])
 
 
-def _centred(text: str, width: int) -> str:
+def _centre(text: str, width: int) -> str:
     return f" {text:^{width}} "
 
 
@@ -130,7 +130,7 @@ def _pull_alone(mavros: Mavros, _: argparse.Namespace) -> None:
     _pull(mavros)
 
 
-def _pulled(mavros: Mavros, subscription: Subscription) -> Sequence[Any]:
+def _pull_mission(mavros: Mavros, subscription: Subscription) -> Sequence[Any]:
     """Pull and return the vehicle's current mission; ``subscription`` subscribes to the mission topic.
 
     Raises:
@@ -146,20 +146,20 @@ def _pulled(mavros: Mavros, subscription: Subscription) -> Sequence[Any]:
     return waypoints
 
 
-def _cached(mavros: Mavros, subscription: Subscription) -> Sequence[Any]:
+def _last_mission(mavros: Mavros, subscription: Subscription) -> Sequence[Any]:
     """Return the mission last published by MAVROS, or the vehicle's if none; real MAVROS pulls when it connects.
 
     Raises:
         ProgramError: no list arrives.
     """
     found = subscription.next(_LATCHED_LIMIT) if subscription.connected() else None
-    waypoints: Sequence[Any] = _pulled(mavros, subscription) if found is None else found.waypoints
+    waypoints: Sequence[Any] = _pull_mission(mavros, subscription) if found is None else found.waypoints
     return waypoints
 
 
 def _show(mavros: Mavros, arguments: argparse.Namespace) -> None:
     subscription = mavros.subscribe(_TOPIC, WaypointList)
-    waypoints = _pulled(mavros, subscription) if arguments.pull else _cached(mavros, subscription)
+    waypoints = _pull_mission(mavros, subscription) if arguments.pull else _last_mission(mavros, subscription)
     print(table(map(to_row, waypoints)), flush=True)
     while arguments.follow and (message := subscription.next(None)) is not None:
         print(table(map(to_row, message.waypoints)), flush=True)
@@ -180,7 +180,7 @@ def _load(mavros: Mavros, arguments: argparse.Namespace) -> None:
         return
     if arguments.preserve_home and waypoints:
         subscription = mavros.subscribe(_TOPIC, WaypointList)
-        present = _cached(mavros, subscription)
+        present = _last_mission(mavros, subscription)
         subscription.close()
         if not present:
             raise ProgramError("preserve home: the vehicle has no item 0 to keep")
@@ -199,7 +199,7 @@ def _push(mavros: Mavros, start: int, waypoints: Sequence[Any]) -> None:
 
 def _dump(mavros: Mavros, arguments: argparse.Namespace) -> None:
     subscription = mavros.subscribe(_TOPIC, WaypointList)
-    rows = list(map(to_row, _pulled(mavros, subscription)))
+    rows = list(map(to_row, _pull_mission(mavros, subscription)))
     subscription.close()
     write_file(arguments.file, waypoint_file.write(rows))
 

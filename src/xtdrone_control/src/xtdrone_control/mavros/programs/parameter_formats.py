@@ -72,7 +72,7 @@ def write(values: Mapping[str, Number], kind: str, system: int = 1) -> str:
     """Return the text of a parameter file.
 
     Args:
-        values: by name; floats are written with a decimal point, integers without.
+        values: Values by name; floats are written with a decimal point, integers without.
         kind: QGC, MISSION_PLANNER or MAVPROXY.
         system: the vehicle's MAVLink system id, 1 to 255; used only in QGroundControl's files.
     """

@@ -14,9 +14,8 @@ import rosgraph
 import rospy
 from mavros_msgs.msg import State
 
-from xtdrone_control.bounded_file import MOST_TEXT, ContentError, read_text
+from xtdrone_control.files import MOST_TEXT, ContentError, read_text, write_whole
 from xtdrone_control.programs.plain_node import init_plain_node
-from xtdrone_control.whole_file import write_whole
 
 DEFAULT_NAMESPACE = "mavros"
 STANDARD = "-"
@@ -111,7 +110,7 @@ class Mavros:
         """Set the namespace.
 
         Args:
-            namespace: with or without the leading slash.
+            namespace: Namespace, with or without the leading slash.
             verbose: print progress.
         """
         self.namespace = "/" + namespace.strip("/")

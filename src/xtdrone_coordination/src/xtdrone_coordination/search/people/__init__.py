@@ -1,0 +1,1 @@
+"""People seen during a search: candidates, second looks, finds."""

@@ -3,38 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
-from typing import Protocol
+from collections.abc import Callable, Collection
 
 import shapely
 from shapely.geometry import Polygon
 
-from ..reports import rounded_xy
+from ..reports import round_xy
 from ..search_settings import MissionSettings
 from ..searching_vehicle import Vehicle
 from .candidates import Candidate, Sighting, nearest
 
 _WALKING_SPEED = 1.5  # m/s that a person may move while unseen
-
-
-class Report(Protocol):
-    """Function that reports an event."""
-
-    def __call__(self, event: str, vehicle: Vehicle | None = None, /, **fields: object) -> None:
-        """Report an event."""
-        ...
+ReportEvent = Callable[..., None]
+"""Reports an event by its name, vehicle and fields, see ``mission_control.SearchMission.report``."""
 
 
 class Association:
     """Merges sightings into candidates, and adds a candidate for each sighting of a new place."""
 
-    def __init__(self, candidates: list[Candidate], region: Polygon, settings: MissionSettings, report: Report) -> None:
+    def __init__(
+        self, candidates: list[Candidate], region: Polygon, settings: MissionSettings, report: ReportEvent
+    ) -> None:
         """Prepare the region.
 
         Args:
             candidates: list that new candidates are appended to.
             region: searched region, m ENU.
-            settings: of the mission control.
+            settings: Settings of the mission control.
             report: called with the event ``candidate``.
         """
         self._candidates = candidates
@@ -48,7 +43,7 @@ class Association:
 
         Args:
             vehicle: vehicle that took the image.
-            time: of the exposure, s.
+            time: Time of the exposure, s.
             sighting: one object of the image.
             tracked: ids of all tracks of the camera.
         """
@@ -71,10 +66,10 @@ class Association:
             return following.candidate  # the camera's track is more reliable than the extrapolated position
         found = nearest(self._candidates, sighting.position, time, self._settings.same_place)
         if found is None or found.status == "seen":
-            found = self._handed_over(vehicle, time, sighting) or found
+            found = self._match_handed_over(vehicle, time, sighting) or found
         return found
 
-    def _handed_over(self, vehicle: Vehicle, time: float, sighting: Sighting) -> Candidate | None:
+    def _match_handed_over(self, vehicle: Vehicle, time: float, sighting: Sighting) -> Candidate | None:
         """Return the handed-over candidate if the sighting may be the same person, allowing for motion while unseen."""
         look, settings = vehicle.look, self._settings
         if look is None or look.takes_over is None or sighting.probability < settings.candidate_probability:
@@ -89,7 +84,7 @@ class Association:
         if hits == self._settings.candidate_hits and candidate.pictures == hits and candidate.status == "seen":
             probability = round(candidate.probability, 3)
             self._report(
-                "candidate", vehicle, position=rounded_xy(candidate.position), probability=probability, hits=hits
+                "candidate", vehicle, position=round_xy(candidate.position), probability=probability, hits=hits
             )
 
 

@@ -18,10 +18,10 @@ class Sighting:
     """An object in an image, one entry of ObjectsOnGround.
 
     Attributes:
-        id: of the track, constant as long as the camera keeps it.
-        position: on the ground, m ENU.
+        id: Id of the track, constant as long as the camera keeps it.
+        position: Position on the ground, m ENU.
         velocity: m/s ENU.
-        covariance: of the position: xx, xy, yx, yy, m^2.
+        covariance: Covariance of the position: xx, xy, yx, yy, m^2.
         probability: the detector's; 0 if this image does not show the track.
     """
 
@@ -99,7 +99,7 @@ class Candidate:
 
         Args:
             vehicle: name of the vehicle that took the image.
-            time: of the exposure, s.
+            time: Time of the exposure, s.
             sighting: the sighting.
             tracked: ids of all tracks of the vehicle's camera.
         """

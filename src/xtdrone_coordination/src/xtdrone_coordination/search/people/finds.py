@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ..losses.reallocation import Reallocation
-from ..reports import Find, rounded_xy
+from ..losses import Reallocation
+from ..reports import Find, round_xy
 from ..searching_vehicle import BUSY, LookStage, SecondLook, State, Vehicle
 from ..states.common_supervision import MissionControl
 
@@ -40,7 +40,7 @@ class Finds:
         self._control.report(
             "confirmed",
             vehicle,
-            position=rounded_xy(find.position),
+            position=round_xy(find.position),
             covariance=list(find.covariance),
             found_time=round(find.time, 3),
             probability=round(look.evidence.mean, 3),

@@ -1,0 +1,1 @@
+"""Plans of a search: the region, its division and the paths that cover it."""

@@ -30,11 +30,11 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Footprint:
+class ImageFootprint:
     """Ground on which people are visible and large enough, relative to the point below the camera.
 
     Attributes:
-        height: of the camera, m over the ground.
+        height: Height of the camera, m over the ground.
         near, far: distance ahead, m; near may be negative, behind the camera.
         half_near, half_far: half of the width there, m.
     """
@@ -71,13 +71,13 @@ class Footprint:
 
 def footprint(
     camera: Pinhole, height: float, pitch: float, *, pixels: float = 12.0, margin: float = 0.05, reach: float = 30.0
-) -> Footprint:
+) -> ImageFootprint:
     """Return the ground on which a camera shows standing people completely and large enough.
 
     Args:
         camera: its intrinsics.
         height: m over the ground, 2 to 200.
-        pitch: of the gimbal, deg, negative down, -90 to -5.
+        pitch: Pitch of the gimbal, deg, negative down, -90 to -5.
         pixels: minimum height of a person in the image, from foot to head, px, 1 to 1000.
         margin: fraction of the image's width and height ignored at each edge, 0 to 0.4.
         reach: the ground counts up to this far ahead, m, 1 to 1000.
@@ -107,7 +107,7 @@ def footprint(
     gaps = np.flatnonzero(np.diff(found) > 1)
     first, last = found[gaps[-1] + 1 if len(gaps) else 0], found[-1]
     side = (0.5 - margin) * camera.width / camera.fx
-    return Footprint(
+    return ImageFootprint(
         height, float(ahead[first]), float(ahead[last]), float(side * depth[first]), float(side * depth[last])
     )
 
@@ -127,7 +127,7 @@ class Waypoint:
 
     Attributes:
         x, y: m, map frame, ENU.
-        heading: of the vehicle on the leg to the waypoint, rad from east (ENU).
+        heading: Heading of the vehicle on the leg to the waypoint, rad from east (ENU).
     """
 
     x: float
@@ -149,7 +149,7 @@ class CoverageOptions(Settings):
     turn_time: float = setting(3.0, low=0.0, high=60.0, unit="s", text="time lost in a turn")
 
 
-def cover(piece: Polygon, seen: Footprint, options: CoverageOptions, home: Point | None = None) -> list[Waypoint]:
+def cover(piece: Polygon, seen: ImageFootprint, options: CoverageOptions, home: Point | None = None) -> list[Waypoint]:
     """Return the fastest path found along which the camera sees all of a piece.
 
     Args:
@@ -179,7 +179,7 @@ def turns(path: Sequence[Waypoint]) -> int:
     return sum(abs(math.remainder(b - a, 2.0 * math.pi)) > _TURN for a, b in pairwise(courses))
 
 
-def sweep(path: Sequence[Waypoint], seen: Footprint, step: float = 1.0) -> shapely.Geometry:
+def sweep(path: Sequence[Waypoint], seen: ImageFootprint, step: float = 1.0) -> shapely.Geometry:
     """Return the ground shown by images taken every ``step`` m along a path."""
     outlines = []
     for a, b in pairwise(path):
@@ -190,7 +190,7 @@ def sweep(path: Sequence[Waypoint], seen: Footprint, step: float = 1.0) -> shape
     return shapely.union_all(shapely.polygons(outlines))
 
 
-def lane_outlines(path: Sequence[Waypoint], seen: Footprint) -> list[NDArray[np.float64]]:
+def lane_outlines(path: Sequence[Waypoint], seen: ImageFootprint) -> list[NDArray[np.float64]]:
     """Return the corners, (6, 2) m ENU, of the ground shown along each lane of a path as ``cover`` returns it."""
     outlines = []
     for a, b in zip(path[::2], path[1::2], strict=True):
@@ -230,7 +230,7 @@ class _Strip:
 _Cell = list[_Strip]
 
 
-def _paths(piece: Polygon, angle: float, seen: Footprint, options: CoverageOptions) -> Iterator[list[Waypoint]]:
+def _paths(piece: Polygon, angle: float, seen: ImageFootprint, options: CoverageOptions) -> Iterator[list[Waypoint]]:
     """Yield the paths with lanes in direction ``angle``, rad."""
     c, s = math.cos(angle), math.sin(angle)
     turned = shapely.transform(piece, lambda xy: xy @ np.array([[c, -s], [s, c]]))
@@ -251,7 +251,7 @@ def _paths(piece: Polygon, angle: float, seen: Footprint, options: CoverageOptio
                 ]
 
 
-def _rows(piece: Polygon, seen: Footprint, options: CoverageOptions) -> list[list[_Strip]]:
+def _rows(piece: Polygon, seen: ImageFootprint, options: CoverageOptions) -> list[list[_Strip]]:
     """Return the strips each lane must cover: one, or several with wide gaps between them."""
     _, half = seen.band(options.depth)
     low_x, low_y, high_x, high_y = piece.bounds

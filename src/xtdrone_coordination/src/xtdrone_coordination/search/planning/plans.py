@@ -26,7 +26,7 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.settings import Settings, setting
 
-from .coverage_path import CoverageOptions, Footprint, Point, Waypoint, cover, footprint, length, turns
+from .coverage_path import CoverageOptions, ImageFootprint, Point, Waypoint, cover, footprint, length, turns
 from .region import RegionError, divide, read_region
 
 NAN = math.nan
@@ -109,7 +109,7 @@ class SearchOptions(Settings):
             return False
         return seen.far - seen.near >= depth
 
-    def footprint(self, camera: Pinhole, height: float) -> Footprint:
+    def footprint(self, camera: Pinhole, height: float) -> ImageFootprint:
         """Return the footprint of a camera at a height.
 
         Raises:
@@ -141,7 +141,7 @@ class VehiclePlan:
     height: float
     home: Point
     path: tuple[Waypoint, ...]
-    seen: Footprint
+    seen: ImageFootprint
 
 
 def plan_search(
@@ -150,7 +150,7 @@ def plan_search(
     """Return the plan of each vehicle.
 
     Args:
-        region: to search, see ``region.make_region``.
+        region: Region to search, see ``region.make_region``.
         homes: home position of each vehicle, m ENU, by name. The first flies lowest.
         camera: intrinsics, the same for all vehicles.
         options: see :class:`SearchOptions`.

@@ -23,7 +23,7 @@ from scipy.optimize import brentq
 from shapely.geometry import Polygon
 from shapely.validation import explain_validity
 
-from xtdrone_control import bounded_file
+from xtdrone_control import files
 
 MAX_PIECES = 250
 _DIRECTIONS = 16  # of cuts, in addition to the sides of the smallest rectangle
@@ -89,8 +89,8 @@ def read_region(path: str | Path) -> Polygon:
         RegionError: the file cannot be read or holds no valid region; the message names the file.
     """
     try:
-        return parse_region(bounded_file.load_yaml(bounded_file.read_text(path)))
-    except (OSError, bounded_file.ContentError, RegionError) as error:
+        return parse_region(files.load_yaml(files.read_text(path)))
+    except (OSError, files.ContentError, RegionError) as error:
         raise RegionError(f"{path}: {error}") from error
 
 

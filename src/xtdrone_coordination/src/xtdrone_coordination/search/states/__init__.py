@@ -1,0 +1,1 @@
+"""States of a searching vehicle, and what each does in a turn."""

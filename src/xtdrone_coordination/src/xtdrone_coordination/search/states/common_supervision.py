@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from typing import ClassVar, Protocol
 
-from ..actions import Action, SetMode
 from ..people.candidates import Candidate
 from ..search_settings import MissionSettings
-from ..searching_vehicle import SecondLook, Vehicle
+from ..searching_vehicle import Action, RequestMode, SecondLook, Vehicle
 
 _MODE_GRACE = 2.5  # s; mavros/state follows the 1 Hz heartbeat
 RETRY_PERIOD = 2.0  # s between attempts to reach a mode or to arm
@@ -22,8 +21,8 @@ class MissionControl(Protocol):
     """Interface of the mission control that vehicle states use: shared data, reports and transitions.
 
     Attributes:
-        settings: of the search.
-        vehicles: by name.
+        settings: Settings of the search.
+        vehicles: Vehicles by name.
         now: ROS time, s.
     """
 
@@ -155,7 +154,7 @@ class VehicleState:
             if request.tries >= _MAX_TRIES:
                 self._control.lose(vehicle, f"does not enter {request.mode}{because(request.refusal)}")
                 return
-            self._control.act(SetMode(vehicle.name, request.mode))
+            self._control.act(RequestMode(vehicle.name, request.mode))
             request.tries += 1
             request.first_try = min(request.first_try, now)
             request.next_try = now + RETRY_PERIOD

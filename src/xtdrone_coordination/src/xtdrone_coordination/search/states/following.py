@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from ..actions import Follow
 from ..people.candidates import Candidate
-from ..reports import rounded_xy
-from ..searching_vehicle import Following, SecondLook, State, Vehicle
+from ..reports import round_xy
+from ..searching_vehicle import Follow, Following, SecondLook, State, Vehicle
 from .common_supervision import MissionControl
-from .offboard_heights_and_setpoints import OffboardState
-from .rejoining import Rejoining
+from .offboard_heights_and_setpoints import OffboardState, Rejoining
 
 
 class FollowingPerson(OffboardState):
@@ -29,7 +27,7 @@ class FollowingPerson(OffboardState):
         vehicle.enter(State.FOLLOWING, now)
         vehicle.setpoint = None
         self._control.act(Follow(vehicle.name, track))
-        self._control.report("following", vehicle, position=rounded_xy(candidate.position), track=track)
+        self._control.report("following", vehicle, position=round_xy(candidate.position), track=track)
 
     def update(self, vehicle: Vehicle, dt: float) -> None:
         """End the following after its time or the loss of the person; keep up with the person's track id."""

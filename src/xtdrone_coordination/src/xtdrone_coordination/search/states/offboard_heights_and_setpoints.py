@@ -1,13 +1,12 @@
-"""Common to the states flown in OFFBOARD: heights and setpoints."""
+"""Common to the states flown in OFFBOARD: heights and setpoints, and the climb back to the path."""
 
 from __future__ import annotations
 
 import math
 
-from ..actions import GoTo, Position
-from ..searching_vehicle import Vehicle
-from .common_supervision import VehicleState
-from .searching import FALLEN
+from ..searching_vehicle import MISSION, GoTo, LookStage, PointCamera, Position, SecondLook, State, Vehicle
+from .common_supervision import PART_SEARCHED, VehicleState
+from .flown_by_autopilot import FALLEN
 
 _CLEARANCE = 6.0  # m; no height change within this horizontal distance of a vehicle in between
 _LEAD = 4.0  # m; maximum distance of a setpoint ahead of its vehicle
@@ -57,3 +56,43 @@ class OffboardState(VehicleState):
             and low < other.position[2] < high
             for other in self._control.vehicles.values()
         )
+
+
+class Rejoining(OffboardState):
+    """Climbs, flies back and resumes the state before the second look."""
+
+    def begin(self, vehicle: Vehicle, look: SecondLook) -> None:
+        """Climb, then resume what the vehicle did before a look."""
+        look.stage = LookStage.CLIMB
+        vehicle.look = look
+        vehicle.setpoint = vehicle.position
+        vehicle.enter(State.REJOINING, self._control.now)
+
+    def update(self, vehicle: Vehicle, dt: float) -> None:
+        """Move the setpoint up, then back to the path."""
+        look, position, setpoint = vehicle.look, vehicle.position, vehicle.setpoint
+        assert look is not None
+        assert position is not None
+        assert setpoint is not None
+        height = vehicle.search_altitude
+        x, y = setpoint[:2] if look.stage is LookStage.CLIMB else look.left_at
+        self._move_setpoint(vehicle, (x, y, height), look.heading, dt)
+        if look.stage is LookStage.CLIMB:
+            if abs(position[2] - height) < 0.7:
+                look.stage = LookStage.GO_BACK
+                if look.came_from is not State.SEARCHING:
+                    self._resume(vehicle, look)
+        elif vehicle.distance_to(look.left_at) < 2.0:
+            self._resume(vehicle, look)
+
+    def _resume(self, vehicle: Vehicle, look: SecondLook) -> None:
+        control = self._control
+        vehicle.look = None
+        if control.found or control.ending:
+            control.stand_by(vehicle)
+        elif look.came_from is State.SEARCHING:
+            control.act(PointCamera(vehicle.name, control.settings.gimbal_pitch))
+            vehicle.request_mode(MISSION, control.now)
+            vehicle.enter(State.SEARCHING, control.now)
+        else:
+            control.return_home(vehicle, PART_SEARCHED)

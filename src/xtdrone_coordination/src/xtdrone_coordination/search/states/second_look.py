@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from xtdrone_control.cameras.pinhole import Pinhole
 
-from ..actions import OFFBOARD, PointCamera
 from ..coverage_map import shows
 from ..people.candidates import EXTRAPOLATION, Candidate
-from ..reports import rounded_xy
-from ..searching_vehicle import LookStage, SecondLook, State, Vehicle
+from ..reports import round_xy
+from ..searching_vehicle import OFFBOARD, LookStage, PointCamera, SecondLook, State, Vehicle
 from .common_supervision import MissionControl
 from .offboard_heights_and_setpoints import OffboardState
 
@@ -50,7 +49,7 @@ class TakingSecondLook(OffboardState):
         vehicle.setpoint = vehicle.position
         vehicle.request_mode(OFFBOARD, now, _OFFBOARD_DELAY)
         vehicle.enter(State.SECOND_LOOK, now)
-        self._control.report("second_look", vehicle, position=rounded_xy(place), takes_over=takes_over is not None)
+        self._control.report("second_look", vehicle, position=round_xy(place), takes_over=takes_over is not None)
 
     def update(self, vehicle: Vehicle, dt: float) -> None:
         """Move the setpoint on to and around the circle, and decide."""
@@ -87,7 +86,7 @@ class TakingSecondLook(OffboardState):
 
         Args:
             look: the second look.
-            time: of the exposure, s.
+            time: Time of the exposure, s.
             position: (3,) of the camera, m, map.
             rotation: (3, 3) from the optical frame to the map frame.
             probability: that the candidate is a person; None if the image does not show it.
@@ -127,7 +126,7 @@ class TakingSecondLook(OffboardState):
         self._control.report(
             "rejected",
             vehicle,
-            position=rounded_xy(candidate.position),
+            position=round_xy(candidate.position),
             probability=round(evidence.mean, 3),
             pictures=evidence.pictures,
             hits=evidence.hits,

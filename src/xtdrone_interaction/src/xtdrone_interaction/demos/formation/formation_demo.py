@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
-from xtdrone_control.lockstep.simulation_speed import speed_setting
+from xtdrone_control.programs.node_command_line import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.command_options import (

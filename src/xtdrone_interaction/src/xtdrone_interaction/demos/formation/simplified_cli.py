@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from xtdrone_control.fleet import MAX_VEHICLES, parse_fleet
+from xtdrone_control.programs.user_classes import load_class, nothing_overridden
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.network import NetworkOptions
-from xtdrone_coordination.user_classes import load_class, nothing_overridden
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import DEFAULT_FOLLOWER, MachineSettings, OptionError
 from xtdrone_interaction.console import PatientConsole, run_reported

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from shapely.geometry import Point, Polygon
 
 from xtdrone_control.autopilot.navigator import plan as mission
-from xtdrone_control.bounded_file import load_yaml, read_text
 from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_control.files import load_yaml, read_text
 from xtdrone_control.fleet import Vehicle, parse_fleet, spawn_grid
 from xtdrone_control.geodesy.datum import Datum
-from xtdrone_control.lockstep.simulation_speed import speed_setting
 from xtdrone_control.plans import qgc_plan
+from xtdrone_control.programs.node_command_line import speed_setting
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, write_plans
 from xtdrone_coordination.search.planning.region import parse_region, read_region, region_data

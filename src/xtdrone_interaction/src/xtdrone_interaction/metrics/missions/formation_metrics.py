@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.whole_file import write_whole
-from xtdrone_coordination.laws.assignment import assign
+from xtdrone_control.files import write_whole
+from xtdrone_coordination.leader import assign
 from xtdrone_interaction.formation.distances import Array, close_pairs, formation_error, relative
 from xtdrone_interaction.formation.flight_criteria import (
     ASSIGNMENT_SLACK,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.whole_file import replacing
+from xtdrone_control.files import replacing
 from xtdrone_interaction.bags.ros1bag import BagError
 from xtdrone_interaction.formation.distances import Array
 from xtdrone_interaction.formation.flight_events import parse_event

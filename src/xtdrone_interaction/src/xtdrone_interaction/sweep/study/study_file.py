@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.bounded_file import BoundedLoader, ContentError, load_yaml, read_text
+from xtdrone_control.files import BoundedLoader, ContentError, load_yaml, read_text
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.command_options import OptionError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any, NamedTuple
 
-from xtdrone_control.bounded_file import ContentError, load_yaml
+from xtdrone_control.files import ContentError, load_yaml
 from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, check_range

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from xtdrone_control.bounded_file import ContentError
+from xtdrone_control.files import ContentError
 from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import SettingError, Settings, setting

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.whole_file import write_whole
+from xtdrone_control.files import write_whole
 from xtdrone_sim.worlds.people_meshes import names
 from xtdrone_sim.worlds.scenery.countryside_layout import CLEAR, LIGHTS, REGION, outdoor
 from xtdrone_sim.worlds.scenery.materials import SPLITS

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import read_bytes
+from xtdrone_control.files import read_bytes
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.data_files import data_path
 from xtdrone_sim.descriptions import ModelError, available, read_description

@@ -10,7 +10,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.bounded_file import read_bytes
+from xtdrone_control.files import read_bytes
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.poses import Pose
 from xtdrone_sim.shapes.visual import Collision, Visual

@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
-from xtdrone_control.bounded_file import MB, MOST_DEPTH, MOST_VALUES
+from xtdrone_control.files import MB, MOST_DEPTH, MOST_VALUES, shortened
 from xtdrone_control.frames import to_xyzw
 from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import from_euler, to_euler
-from xtdrone_control.shortened_text import shortened
 from xtdrone_sim.worlds.sdf.world_records import SdfError
 
 _log = logging.getLogger("rosout.sdf")  # a child of ROS's logger: shown on screen and on /rosout in a ROS node

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.failsafe import (
     BATTERY_CRITICAL,
     BATTERY_EMERGENCY,
@@ -23,8 +23,8 @@ from xtdrone_control.autopilot.commander.failsafe import (
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE
 from xtdrone_control.autopilot.events.events import Event, event
-from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.vehicle_view import VehicleView
+from xtdrone_control.modes import Mode
 
 Get = Callable[[str], float]
 

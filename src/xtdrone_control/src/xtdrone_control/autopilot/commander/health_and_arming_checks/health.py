@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.failsafe import Flags
 from xtdrone_control.autopilot.commander.health_and_arming_checks.battery_estimate import BatteryEstimate
 from xtdrone_control.autopilot.commander.health_and_arming_checks.failure_detector import FailureDetector
@@ -16,9 +16,9 @@ from xtdrone_control.autopilot.commander.offboard_setpoint import OffboardSetpoi
 from xtdrone_control.autopilot.estimator.fusion import POS
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import INFO, Announcements
-from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.navigator.navigator import Navigator
 from xtdrone_control.autopilot.vehicle_view import VehicleView
+from xtdrone_control.modes import Mode
 
 Get = Callable[[str], float]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import MB, read_bytes
+from xtdrone_control.files import MB, read_bytes
 from xtdrone_control.rotation import Vector
 from xtdrone_sim.data_files import cached_folder
 from xtdrone_sim.worlds.sdf.world_records import SdfError

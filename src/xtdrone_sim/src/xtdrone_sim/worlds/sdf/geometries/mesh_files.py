@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import MB, load_json, read_bytes
+from xtdrone_control.files import MB, load_json, read_bytes
 from xtdrone_sim.data_files import cached_folder
 from xtdrone_sim.shapes.visual import Colour
 from xtdrone_sim.worlds.sdf.world_records import SdfError

@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.bounded_file import read_text
+from xtdrone_control.files import read_text
 from xtdrone_control.poses import Pose, compose, rotate
 from xtdrone_control.rotation import Vector
 from xtdrone_sim.shapes.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Sphere, Visual

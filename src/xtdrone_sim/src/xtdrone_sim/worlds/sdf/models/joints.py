@@ -10,9 +10,9 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+from xtdrone_control.files import shortened
 from xtdrone_control.poses import Pose, compose, inverse, rotate
 from xtdrone_control.rotation import Vector
-from xtdrone_control.shortened_text import shortened
 from xtdrone_sim.worlds.sdf.world_records import SdfJoint, SdfLink, SdfModel
 from xtdrone_sim.worlds.sdf.xml_elements import Element, read_pose, write_pose
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from xtdrone_control.shortened_text import shortened
+from xtdrone_control.files import shortened
 from xtdrone_sim.data_files import PACKAGES, data_folders, package_folder
 from xtdrone_sim.worlds.sdf.world_records import SdfError
 from xtdrone_sim.worlds.sdf.xml_elements import Element

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from xtdrone_control.shortened_text import shortened
+from xtdrone_control.files import shortened
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import has_heightmap
 from xtdrone_sim.worlds.sdf.models.joints import MOVING, WORLD, Groups
 from xtdrone_sim.worlds.sdf.world_records import DEFAULT_INERTIAL, SdfLink, SdfModel

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from xtdrone_control.whole_file import replacing, write_whole
+from xtdrone_control.files import replacing, write_whole
 
 LIMIT = 4096  # bytes of a file
 

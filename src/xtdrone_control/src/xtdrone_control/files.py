@@ -1,17 +1,22 @@
-"""Reading of files named by users, with limits of size, number of values and depth.
+"""Files named by users, read with limits of size, values and depth, and result files that are whole or absent.
 
 A file may be an endless device, a pipe without a writer, or a few lines that expand to gigabytes. Only regular files
 are read, after a check of their size, and parsed content is limited to the number of values and the depth that the
 formats of the callers need.
+
+A result file is written under a temporary name and renamed at the end: a disk that fills up, or a program that is
+killed, would otherwise leave the beginning of a file under its final name, in place of an earlier whole one.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
+import secrets
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +105,7 @@ def load_yaml(text: str, loader: type[BoundedLoader] | None = None) -> Any:
         raise
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        raise ContentError(f"{_located(mark)}{error.problem or error.context}") from error
+        raise ContentError(f"{_position(mark)}{error.problem or error.context}") from error
     except yaml.reader.ReaderError as error:
         raise ContentError(f"character {error.position}: {error.reason}") from error
     except (yaml.YAMLError, ValueError, OverflowError) as error:  # such as an impossible date
@@ -160,7 +165,7 @@ class BoundedLoader(yaml.SafeLoader):
         self._count(event, 1)
         self._depth += 1
         if self._depth > MOST_DEPTH:
-            raise ContentError(f"{_located(event.start_mark)}nested more than {MOST_DEPTH} deep")
+            raise ContentError(f"{_position(event.start_mark)}nested more than {MOST_DEPTH} deep")
         node = super().compose_node(parent, index)
         self._depth -= 1
         if anchor is not None:
@@ -172,7 +177,7 @@ class BoundedLoader(yaml.SafeLoader):
         self._check_length(node)
         number = int(super().construct_yaml_int(node))
         if number.bit_length() > _MOST_BITS:
-            raise ContentError(f"{_located(node.start_mark)}a number of {len(node.value)} characters is not allowed")
+            raise ContentError(f"{_position(node.start_mark)}a number of {len(node.value)} characters is not allowed")
         return number
 
     def construct_yaml_float(self, node: yaml.ScalarNode) -> float:
@@ -183,19 +188,21 @@ class BoundedLoader(yaml.SafeLoader):
     def _check_length(self, node: yaml.ScalarNode) -> None:
         if len(node.value) > MOST_DIGITS:
             long = f"a number of {len(node.value)} characters is not allowed, {MOST_DIGITS} at most"
-            raise ContentError(_located(node.start_mark) + long)
+            raise ContentError(_position(node.start_mark) + long)
 
     def _count(self, event: yaml.Event, values: int) -> None:
         self._values += values
         if self._values > MOST_VALUES:
-            raise ContentError(f"{_located(event.start_mark)}more than {MOST_VALUES} values, those of aliases included")
+            raise ContentError(
+                f"{_position(event.start_mark)}more than {MOST_VALUES} values, those of aliases included"
+            )
 
 
 BoundedLoader.add_constructor("tag:yaml.org,2002:int", BoundedLoader.construct_yaml_int)
 BoundedLoader.add_constructor("tag:yaml.org,2002:float", BoundedLoader.construct_yaml_float)
 
 
-def _located(mark: Any) -> str:
+def _position(mark: Any) -> str:
     return "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
 
 
@@ -210,3 +217,48 @@ def _check(status: os.stat_result, path: str | Path, most: int) -> None:
 
 def _too_large(path: str | Path, size: int, most: int) -> OSError:
     return OSError(errno.EFBIG, f"it has {size / MB:.1f} MB, at most {most / MB:g} MB are allowed", str(path))
+
+
+_NAME_KEPT = 50  # characters: the name of the draft is not too long where that of the file is not
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a path to write to; rename it to ``path`` at the end, or delete it if an exception is raised.
+
+    Of a symbolic link the target is replaced. What is no regular file, such as /dev/stdout, is yielded itself.
+
+    Raises:
+        OSError: it cannot be written; the error names ``path``; a regular file has not changed.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            yield path
+            return
+        target = Path(os.path.realpath(path))
+        draft = _new_draft(target)
+        try:
+            yield draft
+            os.replace(draft, target)
+        finally:
+            draft.unlink(missing_ok=True)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
+def _new_draft(target: Path) -> Path:
+    """Create an empty file of its own beside ``target``, hidden, with the mode of new files."""
+    draft = target.with_name(f".{target.name[:_NAME_KEPT]}.{secrets.token_hex(8)}.new")
+    os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    return draft
+
+
+def write_whole(path: str | Path, text: str) -> None:
+    """Write a text file, UTF-8; see ``replacing``."""
+    with replacing(Path(path)) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+def shortened(text: str, most: int = 200) -> str:
+    """Return a text for a message: its first ``most`` characters, with a mark if it is longer."""
+    return text if len(text) <= most else f"{text[:most]}..."

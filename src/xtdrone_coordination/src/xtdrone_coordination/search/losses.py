@@ -1,4 +1,7 @@
-"""Reallocation: the unflown paths of lost vehicles, cut into parts for the others so that all finish together."""
+"""Losses: the work of a vehicle that is lost or whose camera has failed, and its reallocation.
+
+An unflown path is cut into parts for the other vehicles so that all of them finish together.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,11 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
-from ..actions import MISSION, PushMission
-from ..planning.coverage_path import Point, Waypoint, length
-from ..searching_vehicle import State, Vehicle
-from ..states.common_supervision import MissionControl
+from .planning.coverage_path import Point, Waypoint, length
+from .reports import round_xy
+from .searching_vehicle import MISSION, PushMission, State, Vehicle
+from .states.common_supervision import MissionControl
+from .states.following import FollowingPerson
 
 _MIN_PART = 10.0  # m; a shorter part is not worth the flight to it
 
@@ -62,7 +66,7 @@ class Reallocation:
     def _assign(self, vehicle: Vehicle, part: list[Waypoint]) -> None:
         mission, now = vehicle.mission, self._control.now
         landed = vehicle.state is State.LANDED
-        items, current = mission.extended(part, restart=landed)
+        items, current = mission.extend(part, restart=landed)
         mission.load(items)
         mission.current, mission.reached = current, -1
         if landed:
@@ -83,7 +87,7 @@ def share_out(
     """Cut a path into parts that even out the loads, and assign them.
 
     Args:
-        path: at least two waypoints.
+        path: Path of at least two waypoints.
         ends: end of the remaining path of each available vehicle, m ENU.
         loads: remaining distance of each available vehicle, m.
 
@@ -130,3 +134,41 @@ def _portions(whole: float, loads: Mapping[str, float]) -> dict[str, float]:
             return {name: level - loads[name] for name in names}
         names.pop()
     return {}
+
+
+class Losses:
+    """Gives vehicles up, and hands their work over to the others."""
+
+    def __init__(self, control: MissionControl, reallocation: Reallocation, following: FollowingPerson) -> None:
+        self._control = control
+        self._reallocation = reallocation
+        self._following = following
+
+    def lose(self, vehicle: Vehicle, reason: str) -> None:
+        """Give a vehicle up and reassign its work."""
+        position = None if vehicle.position is None else round_xy(vehicle.position)
+        self._control.report("lost_vehicle", vehicle, reason=reason, position=position)
+        self._release_work(vehicle)
+        vehicle.enter(State.LOST, self._control.now)
+        vehicle.request.mode = ""
+
+    def camera_failed(self, vehicle: Vehicle) -> None:
+        """Return a vehicle whose camera has failed and reassign its work."""
+        assert vehicle.position is not None
+        vehicle.blind = True
+        self._control.report("camera_silent", vehicle, position=round_xy(vehicle.position))
+        self._release_work(vehicle)
+        self._control.return_home(vehicle, "its camera has failed")
+
+    def _release_work(self, vehicle: Vehicle) -> None:
+        """Hand a vehicle's following, second look and path over to the others."""
+        control, following = self._control, vehicle.following
+        if following is not None:
+            self._following.end(vehicle, "the camera has failed" if vehicle.blind else "the vehicle is lost")
+            self._following.release(following.candidate, vehicle)
+            control.hand_over(following.candidate, following.until - control.now)
+        look, vehicle.look = vehicle.look, None
+        if look is not None and look.candidate.status == "looked at":
+            look.candidate.status = "seen"
+            control.hand_over(look.candidate, look.takes_over)
+        self._reallocation.take_from(vehicle)

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from xtdrone_control import bounded_file
+from xtdrone_control import files
 from xtdrone_control.autopilot.parameters import parameter_file
-from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, load_json, load_yaml, read_bytes, read_text
+from xtdrone_control.files import MB, MOST_VALUES, ContentError, load_json, load_yaml, read_bytes, read_text
 from xtdrone_control.plans import qgc_plan
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -117,7 +117,7 @@ def test_invalid_yaml_is_reported_in_one_line(text: str, words: str) -> None:
 
 
 def test_too_many_values_are_rejected_before_construction(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounded_file, "MOST_VALUES", 1000)
+    monkeypatch.setattr(files, "MOST_VALUES", 1000)
     with pytest.raises(ContentError, match="more than 1000 values"):
         load_yaml("[" + "1, " * 1001)  # the end of the text is not parsed
     assert len(load_yaml("[" + "1, " * 999 + "]")) == 999
