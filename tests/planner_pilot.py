@@ -22,7 +22,7 @@ from xtdrone_msgs.msg import SplineTrajectory
 from xtdrone_msgs.srv import SetLidarFailure
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.commands import Request
+from xtdrone_control.communication.commands import CommandRequest
 from xtdrone_control.communication.multirotor import MavrosServices
 
 RATE = 20.0
@@ -116,7 +116,7 @@ class Pilot:
         while rospy.get_time() - begun < EGO_TIME + 3.0:
             since = rospy.get_time() - begun
             if self._mavros.mode != "OFFBOARD" and since > 1.0:
-                self._services.submit(Request("OFFBOARD", None))
+                self._services.submit(CommandRequest("OFFBOARD", None))
             turned = math.pi * min(1.0, max(0.0, since - 2.0) / EGO_TIME)
             rate, half = math.pi / EGO_TIME * (0.0 < turned < math.pi), 0.5 * EGO_WAY
             command = PositionCommand(trajectory_flag=PositionCommand.TRAJECTORY_STATUS_READY)
@@ -141,7 +141,7 @@ class Pilot:
             camera=[turn.x, turn.y, turn.z, turn.w],
             lag=math.dist((place.x, place.y), (self._pose.pose.position.x, self._pose.pose.position.y)),
         )
-        self._services.submit(Request("AUTO.LOITER", None))
+        self._services.submit(CommandRequest("AUTO.LOITER", None))
         while self._mavros.mode != "AUTO.LOITER":
             yield
 
@@ -160,9 +160,9 @@ class Pilot:
         self._send(GOAL)  # on the ground: dropped
         yield from self._wait(4.0)
         while not self._mavros.armed:
-            self._services.submit(Request("ARM", True))
+            self._services.submit(CommandRequest("ARM", True))
             yield from self._wait(1.0)
-        self._services.submit(Request("AUTO.TAKEOFF", None))
+        self._services.submit(CommandRequest("AUTO.TAKEOFF", None))
         yield from self._wait(2.0)
         while self._mavros.mode != "AUTO.LOITER":
             yield

@@ -22,7 +22,7 @@ from std_msgs.msg import Float32MultiArray, Int32MultiArray, String
 
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_swarm.view import palette
-from xtdrone_swarm.view.view_of_ros_flight import MODEL_STATES, Flight, pattern_name, pose_topic
+from xtdrone_swarm.view.view_of_ros_flight import MODEL_STATES, ObservedFlight, pattern_name, pose_topic
 
 NAMES = ("iris_0", "iris_1", "iris_2")
 FPS = 10.0
@@ -35,13 +35,13 @@ def poses(points: np.ndarray) -> list[Pose]:
     return [Pose(position=Point(*map(float, p))) for p in points]
 
 
-def take(flight: Flight, source: str, topic: str, message) -> None:
+def take(flight: ObservedFlight, source: str, topic: str, message) -> None:
     flight.handlers(source)[topic][1](message)
 
 
 @pytest.mark.parametrize("source", [MODEL_STATES, pose_topic("iris_0")])
 def test_a_flight_is_known_from_its_topics(source: str) -> None:
-    flight = Flight(NAMES)
+    flight = ObservedFlight(NAMES)
     assert flight.frame(1.0) is None
     places = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]])
     if source == MODEL_STATES:

@@ -34,7 +34,7 @@ from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.mavlink.udp_port_and_clients import LOOPBACK
 from xtdrone_control.mavlink.wire.codec import decoder
-from xtdrone_control.mavros.link.autopilot_links import FcuUrl, Link
+from xtdrone_control.mavros.link.autopilot_links import AutopilotLink, FcuUrl
 
 _SPAN = 2_000_000  # us of simulated time between two heartbeats of the clients
 _ARM = 0.2  # m, rotor arms along x and y
@@ -183,7 +183,7 @@ def read_time() -> float:
     decoders = {message.id: decoder(message.msgname) for message in _TELEMETRY}
     spent = []
     with (
-        closing(Link("iris_0", FcuUrl(LOOPBACK, 24540, LOOPBACK, 34580))) as link,
+        closing(AutopilotLink("iris_0", FcuUrl(LOOPBACK, 24540, LOOPBACK, 34580))) as link,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
     ):
         link.wanted = frozenset(decoders)

@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("rospy", reason="needs rospy")
 
-from xtdrone_control.lockstep.transport.inbox import Feed, Inbox
+from xtdrone_control.lockstep.transport.inbox import Inbox, TopicFeed
 from xtdrone_control.lockstep.transport.topic_reader import Reader
 
 
@@ -47,7 +47,7 @@ class Line:
         self.inbox = Inbox("/publisher")
         if counted:
             self.inbox.target = 0
-        self.feed = Feed(self.connection, self.inbox)
+        self.feed = TopicFeed(self.connection, self.inbox)
 
     def expect(self, count: int) -> Line:
         self.inbox.target = count

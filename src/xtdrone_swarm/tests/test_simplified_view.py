@@ -33,7 +33,7 @@ from xtdrone_swarm.view import (
 )
 from xtdrone_swarm.view import view_of_swarm as flight_module
 from xtdrone_swarm.view.projection_and_zoom import FollowingBox
-from xtdrone_swarm.view.view_of_swarm import _flying, _Player, _recorded
+from xtdrone_swarm.view.view_of_swarm import _flying, _Player, _replay
 from xtdrone_swarm.view.walls_and_scales import grid_step
 
 UP = np.array([0.0, 0.0, 20.0])  # m
@@ -382,7 +382,7 @@ def test_a_swarm_is_filmed_while_it_flies_and_afterwards(tmp_path):
 def test_frames_of_a_flight_show_the_flight():
     swarm, other = Swarm(6), Swarm(6)
     live = list(_flying(swarm, 2.0, 0.1, "", fly_cube))
-    recorded = list(_recorded(swarm, 0.1 * np.arange(1, 21), ""))
+    recorded = list(_replay(swarm, 0.1 * np.arange(1, 21), ""))
     for a, b in zip(live[1:], recorded, strict=True):
         assert a.positions == pytest.approx(b.positions, abs=1e-9)
         assert a.time == pytest.approx(b.time)

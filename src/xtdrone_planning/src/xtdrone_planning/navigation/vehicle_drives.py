@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.commands import Request
+from xtdrone_control.communication.commands import CommandRequest
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_control.communication.setpoint import IGNORE_ACCELERATION, IGNORE_POSITION, IGNORE_YAW
 from xtdrone_control.rotation import multiply, rotate, yaw_of
@@ -255,7 +255,7 @@ class UavDrive:
             return
         if now - self._streaming_since >= _STREAM_LEAD and now - self._requested >= _REQUEST_SPACING:
             self._requested = now
-            self._services.submit(Request("OFFBOARD", None))
+            self._services.submit(CommandRequest("OFFBOARD", None))
 
     def halt(self) -> None:
         """Publish nothing: without setpoints and position, the autopilot's failsafe acts."""

@@ -43,7 +43,7 @@ from std_msgs.msg import Empty, String
 from xtdrone_msgs.msg import SplineTrajectory
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.commands import Request
+from xtdrone_control.communication.commands import CommandRequest
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_control.rotation import yaw_of
 from xtdrone_control.settings import Settings, setting
@@ -304,7 +304,7 @@ class VehiclePlanner:
             return
         if now.time - self._streaming_since >= _STREAM_LEAD and now.time - self._requested >= _REQUEST_SPACING:
             self._requested = now.time
-            self._services.submit(Request("OFFBOARD", None))
+            self._services.submit(CommandRequest("OFFBOARD", None))
 
     def _publish_trajectory(self, stamp: rospy.Time) -> None:
         planner = self.planner

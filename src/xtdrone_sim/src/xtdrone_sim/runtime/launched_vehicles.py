@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.fleet import SPAWNED, XTDRONE, FleetError, Vehicle, spawned_fleet, unused_ports, with_ports
-from xtdrone_control.mavros.link.autopilot_links import FcuUrl, LinkError, parse_fcu_url
+from xtdrone_control.mavros.link.autopilot_links import AutopilotLinkError, FcuUrl, parse_fcu_url
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.package_files import PACKAGE
 from xtdrone_sim.worlds.generated import UPSTREAM, is_generated
@@ -105,7 +105,7 @@ def _url(settings: Mapping[str, Any]) -> FcuUrl | None:
     """Return the link of a MAVROS node; None for one that the node itself rejects, with a message."""
     try:
         return parse_fcu_url(str(settings.get("fcu_url", "")))
-    except LinkError:
+    except AutopilotLinkError:
         return None
 
 
