@@ -96,7 +96,7 @@ def receive(connection: _Peer) -> NodeRequest:
     """Receive a launcher's request.
 
     Raises:
-        RequestError: it is malformed, or from another user.
+        NodeRequestError: it is malformed, or from another user.
         OSError: no request arrives in time.
     """
     peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
