@@ -126,7 +126,7 @@ def test_a_home_set_by_command_stays_until_one_is_set_here():
 def test_an_unknown_heading_of_home_is_sent_as_nan():
     flight = standing()
     assert flight.commander.set_home((*ORIGIN[:2], 488.0), NAN) is Result.ACCEPTED
-    values = Telemetry(flight.commander, flight.autopilot, 0).home_position()
+    values = Telemetry(flight.commander, flight.autopilot, 0).flight.home_position()
     assert math.isnan(values[6])
     assert values[:3] == (round(ORIGIN[0] * 1e7), round(ORIGIN[1] * 1e7), 488_000)
 

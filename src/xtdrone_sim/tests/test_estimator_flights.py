@@ -12,7 +12,6 @@ import pytest
 from xtdrone_control import frames
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Result
-from xtdrone_control.autopilot.estimator.origin import move_origin
 from xtdrone_control.autopilot.state import (
     FAILURE_GARBAGE,
     FAILURE_OFF,
@@ -25,6 +24,7 @@ from xtdrone_control.autopilot.state import (
     VISION_FRD,
     VISION_NED,
 )
+from xtdrone_control.autopilot.vehicle_view import move_origin
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.streams.telemetry import Telemetry
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
@@ -269,10 +269,11 @@ def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
     assert commander.request(modes.AUTO_RTL) is not Result.ACCEPTED
     telemetry = Telemetry(commander, flight.simulation.autopilot, 0)
     telemetry.refresh(flight.simulation.time_us)
-    assert telemetry.local_position_ned() is not None
-    for report in (telemetry.global_position_int, telemetry.home_position, telemetry.gps_global_origin):
+    reports = telemetry.flight
+    assert reports.local_position_ned() is not None
+    for report in (reports.global_position_int, reports.home_position, reports.gps_global_origin):
         assert report() is None
-    (above_sea,) = struct.unpack_from("<f", telemetry.altitude(), 8)
+    (above_sea,) = struct.unpack_from("<f", reports.altitude(), 8)
     assert math.isnan(above_sea)
     flight.hold()
     flight.run(2.0)

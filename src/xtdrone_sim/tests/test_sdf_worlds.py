@@ -11,7 +11,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.rotation import from_euler
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.package_files import CONFIG, MODELS

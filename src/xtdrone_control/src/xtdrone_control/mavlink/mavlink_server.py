@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES, Payloads
+from xtdrone_control.mavlink.streams.telemetry import Telemetry
 
 from .client_link import Address, Link
 from .rate_limit import MAX_CREDIT, STEP_CREDIT, VEHICLE_CREDIT, Credit, DatagramQueues, cost
@@ -50,7 +50,7 @@ class _Vehicle:
         self.index = index
         self.commander = commander
         self._next_due_us: int | None = None
-        telemetry = VehicleTelemetry(commander, autopilot, index)
+        telemetry = Telemetry(commander, autopilot, index)
         ends = (
             ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, _FAST, False),
             ("ground-station", vehicle.gcs_local_port, vehicle.gcs_remote_port, GCS_RATES, _FAST, True),
@@ -104,7 +104,7 @@ class _Vehicle:
         self.commander = commander
         self.receiver = Receiver(commander, autopilot, self.index, self.clients, self._due_changed)
         self._due_changed()
-        telemetry = VehicleTelemetry(commander, autopilot, self.index)
+        telemetry = Telemetry(commander, autopilot, self.index)
         for port in self.ports:
             port.reboot(telemetry, autopilot.time_us)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xtdrone_native.mavlink_wire import split
 
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import silent
+from xtdrone_control.mavlink.streams.telemetry import silent
 from xtdrone_control.mavlink.wire.codec import decoder, frame_error, version
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.wire.frame_packing import COMPONENT_ID

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 
 from .actions import Position
 from .assigned_mission import AssignedMission

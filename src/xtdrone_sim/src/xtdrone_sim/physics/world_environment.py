@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_sim.worlds import catalogue
 from xtdrone_sim.worlds.sdf import SdfActor, SdfJoint, SdfModel
 

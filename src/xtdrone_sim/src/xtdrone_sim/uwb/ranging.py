@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.rotation_arrays import rotate_inverse
+from xtdrone_control.rotation import rotate_all_inverse
 from xtdrone_sim.shapes.visual import Pose
 from xtdrone_sim.vehicles.mounts.uwb_mounts import SIGHT_BIASED, SIGHT_NEEDED, UwbMount
 
@@ -59,7 +59,7 @@ def seen_from(sensor: Pose, positions: Array, range_max: float) -> Neighbours:
     """
     offsets = positions - np.array(sensor.position)
     ranges = np.sqrt(np.sum(offsets * offsets, axis=1))
-    x, y, z = rotate_inverse(np.array(sensor.orientation), offsets).T
+    x, y, z = rotate_all_inverse(np.array(sensor.orientation), offsets).T
     azimuths, elevations = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
     return Neighbours(ranges, azimuths, elevations, np.zeros(len(ranges), bool), ranges <= range_max)
 

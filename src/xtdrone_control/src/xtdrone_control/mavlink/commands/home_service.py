@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander.commander import WARNING
-from xtdrone_control.autopilot.estimator.origin import move_origin
+from xtdrone_control.autopilot.vehicle_view import move_origin
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.commands.command_execution import Command
 from xtdrone_control.mavlink.commands.command_service import CommandService
@@ -30,7 +30,7 @@ class HomeService(Service):
     def _send_origin(self, link: Link) -> bool:
         """Send GPS_GLOBAL_ORIGIN, also unchanged; return whether there is one."""
         link.telemetry.refresh(self.vehicle.now_us)
-        values = link.telemetry.gps_global_origin()
+        values = link.telemetry.flight.gps_global_origin()
         if values is not None:
             link.send_message(mavlink.MAVLink_gps_global_origin_message(*values))
         return values is not None
@@ -43,8 +43,7 @@ class HomeService(Service):
             except ValueError as error:
                 self.vehicle.commander.say(WARNING, str(error))
         self._commands.run(
-            Command(mavlink.MAV_CMD_REQUEST_MESSAGE, (MESSAGE_ID["GPS_GLOBAL_ORIGIN"], 0, 0, 0, 0, 0, 0)),
-            link,
+            Command(mavlink.MAV_CMD_REQUEST_MESSAGE, (MESSAGE_ID["GPS_GLOBAL_ORIGIN"], 0, 0, 0, 0, 0, 0)), link
         )
 
     def _set_home(self, _link: Link, m: Any) -> None:

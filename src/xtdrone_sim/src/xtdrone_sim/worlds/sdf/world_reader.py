@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.bounded_file import read_bytes
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_sim.shapes.visual import Collision, Pose, Visual
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import is_plane, read_collisions, read_visuals
 from xtdrone_sim.worlds.sdf.models.joints import WORLD, divide, read_joint, read_joint_of_world
