@@ -20,7 +20,7 @@ from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE, CODES, E
 from xtdrone_control.autopilot.events.events import event, event_id
 from xtdrone_control.autopilot.parameters import metadata
 from xtdrone_control.autopilot.parameters.parameters import FIXED, INT32, NAMES, describe
-from xtdrone_control.mavlink.microservices.files_and_logs.metadata import checksum
+from xtdrone_control.mavlink.microservices.files_and_logs.ftp import checksum
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 
@@ -99,7 +99,7 @@ def test_texts_of_a_flight_have_tabs_and_events():
     flight.run(1.0)
     commander.texts.clear()
     commander.events.clear()
-    commander.takeoff(math.nan, math.nan)
+    commander.commands.takeoff(math.nan, math.nan)
     commander.arm_disarm(True)
     flight.run(3.0, flight.follow)
     flight.place(1.0, 0.0, -2.5)

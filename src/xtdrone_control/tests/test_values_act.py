@@ -239,7 +239,7 @@ def sticks(p: Parameters) -> Any:
     for mode in (modes.POSCTL, modes.AUTO_LOITER, modes.OFFBOARD):
         flight.commander.request(mode)
         found += watched(flight, 6.0, move)
-    flight.commander.orbit(700.0, 2.0, 0.0, (NAN, NAN, NAN))
+    flight.commander.commands.orbit(700.0, 2.0, 0.0, (NAN, NAN, NAN))
     found.append(flight.texts())
     found += watched(flight, 15.0, move)
     for variance in (0.0, 4.0, 9.0, 30.0, 1000.0, 0.0):

@@ -154,7 +154,7 @@ def flight() -> Recorder:
     view = commander.view
     commander.parameters.set("MIS_TAKEOFF_ALT", 6.0)
     recorder.run_until(ARMED)
-    assert commander.takeoff(NAN, NAN) == 0
+    assert commander.commands.takeoff(NAN, NAN) == 0
     assert commander.arm_disarm(True) == 0
     recorder.run_until(LEGS)
     assert not view.landed

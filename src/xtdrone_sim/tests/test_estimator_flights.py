@@ -67,7 +67,7 @@ class Flight:
         end = self.simulation.time_us + round(seconds * 1e6)
         while self.simulation.time_us < end:
             if self.setpoint is not None:
-                self.commander.offboard_trajectory(*self.setpoint)
+                self.commander.offboard.set_trajectory(*self.setpoint)
             if self.vision is not None:
                 self.vision(self)
             self.simulation.run_until(min(self.simulation.time_us + STEP_US, end))
@@ -262,10 +262,10 @@ def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
     for mode in (modes.AUTO_LOITER, modes.AUTO_RTL, modes.AUTO_MISSION):
         assert commander.request(mode) is Result.TEMPORARILY_REJECTED
     assert commander.home is None
-    assert commander.set_home(None) is Result.TEMPORARILY_REJECTED
-    assert commander.set_home((47.0, 8.0, 400.0)) is Result.TEMPORARILY_REJECTED
-    assert commander.reposition((47.0, 8.0, 410.0), math.nan, math.nan) is Result.TEMPORARILY_REJECTED
-    assert commander.change_altitude(410.0) is Result.TEMPORARILY_REJECTED
+    assert commander.commands.set_home(None) is Result.TEMPORARILY_REJECTED
+    assert commander.commands.set_home((47.0, 8.0, 400.0)) is Result.TEMPORARILY_REJECTED
+    assert commander.commands.reposition((47.0, 8.0, 410.0), math.nan, math.nan) is Result.TEMPORARILY_REJECTED
+    assert commander.commands.change_altitude(410.0) is Result.TEMPORARILY_REJECTED
     assert commander.request(modes.AUTO_RTL) is not Result.ACCEPTED
     telemetry = Telemetry(commander, flight.simulation.autopilot, 0)
     telemetry.refresh(flight.simulation.time_us)

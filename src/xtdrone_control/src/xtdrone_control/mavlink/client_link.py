@@ -262,20 +262,11 @@ class Link:
         since, sent, received = self._measured
         self._measured = (now_us, self.sent_bytes, self.received_bytes)
         span = max(now_us - since, 1) * 1e-6
-        rates = [round((now - then) / span) & 0xFFFFFFFF
-                 for now, then in ((self.sent_bytes, sent), (self.received_bytes, received))]  # fmt: skip
-        return (
-            now_us,
-            *rates,
-            self.sent & 0xFFFFFFFF,
-            self.received & 0xFFFFFFFF,
-            0,
-            self.malformed & 0xFFFF,
-            self.lost & 0xFFFF,
-            self.dropped & 0xFFFF,
-            0,
-            0,
-        )
+        bytes_since = self.sent_bytes - sent, self.received_bytes - received
+        rates = [round(count / span) & 0xFFFFFFFF for count in bytes_since]
+        counts = [count & 0xFFFFFFFF for count in (self.sent, self.received)]
+        errors = [count & 0xFFFF for count in (self.malformed, self.lost, self.dropped)]
+        return now_us, *rates, *counts, 0, *errors, 0, 0
 
     def _changed_origin(self) -> Values | None:
         """Return GPS_GLOBAL_ORIGIN if this client does not have it yet, as PX4's stream does."""

@@ -10,7 +10,7 @@ import select
 import socket
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import Vehicle
@@ -56,25 +56,12 @@ class _Vehicle:
             ("ground-station", vehicle.gcs_local_port, vehicle.gcs_remote_port, GCS_RATES, _FAST, True),
             ("payload", vehicle.payload_local_port, vehicle.payload_remote_port, PAYLOAD_RATES, _SLOW, False),
         )
+        common: dict[str, Any] = {"limit": limit, "totals": totals, "due_changed": self._due_changed}
         self.ports: list[Port] = []
         try:
             for kind, local, remote, rates, data_rate, by_wall in ends:
-                self.ports.append(
-                    Port(
-                        vehicle,
-                        kind,
-                        local,
-                        remote,
-                        telemetry,
-                        rates,
-                        host,
-                        data_rate=data_rate,
-                        by_wall=by_wall,
-                        limit=limit,
-                        totals=totals,
-                        due_changed=self._due_changed,
-                    )
-                )
+                place = vehicle, kind, local, remote
+                self.ports.append(Port(*place, telemetry, rates, host, data_rate=data_rate, by_wall=by_wall, **common))
         except OSError:
             self.close()
             raise

@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from xtdrone_control.autopilot.tables.reader import one_of, read_table
+from xtdrone_control.autopilot.tables.reader import Converter, one_of, read_table
 
 CODES = {"uint8_t": "B", "int8_t": "b", "uint16_t": "H", "int16_t": "h", "uint32_t": "I", "int32_t": "i", "float": "f"}
 ENUM_TYPES = {
@@ -32,7 +32,7 @@ def _split_arguments(text: str) -> tuple[tuple[str, str], ...]:
     return tuple((label, of_type) for label, of_type in (part.split(":") for part in text.split()))
 
 
-_COLUMNS = {
+_COLUMNS: dict[str, Converter] = {
     "name": str,
     "group": one_of(DEFAULT, ARMING_CHECK, HEALTH),
     "kind": str,

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from xtdrone_control.autopilot import c_casts
-from xtdrone_control.autopilot.tables.reader import one_of, read_table
+from xtdrone_control.autopilot.tables.reader import Converter, one_of, read_table
 
 # MAV_MISSION_TYPE
 MISSION, FENCE, RALLY = 0, 1, 2
@@ -36,7 +36,7 @@ START_VIDEO, STOP_VIDEO, VTOL_TRANSITION, WINCH = 2500, 2501, 3000, 42600
 FENCE_RETURN_POINT, FENCE_INCLUSION, FENCE_EXCLUSION = 5000, 5001, 5002
 FENCE_CIRCLE_INCLUSION, FENCE_CIRCLE_EXCLUSION, RALLY_POINT = 5003, 5004, 5100
 
-_COMMAND_COLUMNS = {
+_COMMAND_COLUMNS: dict[str, Converter] = {
     "command": int,
     "name": str,
     "with_position": str,

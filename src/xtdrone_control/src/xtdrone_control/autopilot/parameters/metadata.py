@@ -30,7 +30,7 @@ from xtdrone_control.autopilot.parameters.parameters import (
     Parameters,
     describe,
 )
-from xtdrone_control.autopilot.tables.reader import one_of, read_table
+from xtdrone_control.autopilot.tables.reader import Converter, one_of, read_table
 
 GENERAL, PARAMETER, EVENTS = 0, 1, 4  # COMP_METADATA_TYPE
 
@@ -50,7 +50,8 @@ _COMPONENT_LABELS = {
 _GROUPS = dict(read_table("parameter_groups", {"prefix": str, "group": str}))
 _RADIO = "Radio"
 _MOST_DECIMALS = 7
-_LABEL_COLUMNS = {"parameters": str.split, "kind": one_of("value", "bit"), "number": int, "label": str}
+_KINDS = one_of("value", "bit")
+_LABEL_COLUMNS: dict[str, Converter] = {"parameters": str.split, "kind": _KINDS, "number": int, "label": str}
 
 AT_START = frozenset({"EKF2_ABIAS_INIT", "EKF2_ANGERR_INIT", "EKF2_GBIAS_INIT"})
 """Parameters that take effect only at start."""

@@ -49,23 +49,15 @@ class DeviceTelemetry:
 
     def esc_info(self) -> list[Values]:
         """Return ESC_INFO: healthy ESCs, with the temperatures that PX4's SITL derives from the motor commands."""
-        online = (1 << self._vehicle.rotor_count) - 1
-        counter = self._vehicle.time_us // 4000 & _UINT16
+        time_us, count = self._vehicle.time_us, self._vehicle.rotor_count
+        head = time_us, *[0] * 4, time_us // 4000 & _UINT16, *[0] * 4
         commands = [max(0.0, command) for command in self._vehicle.control["actuators"].tolist()]  # NaN becomes 0
-        return [
-            (
-                self._vehicle.time_us,
-                *(0, 0, 0, 0),
-                counter,
-                *(0, 0, 0, 0),
-                *[round(100.0 * (_ESC_COLD + _ESC_WARMING * command)) for command in batch],
-                _ESC_BATCH * number,
-                self._vehicle.rotor_count,
-                _ESC_BUS,
-                online & 0xFF,
-            )
-            for number, batch in enumerate(self._batches(commands))
-        ]
+        online = (1 << count) - 1 & 0xFF
+        found: list[Values] = []
+        for number, batch in enumerate(self._batches(commands)):
+            temperatures = [round(100.0 * (_ESC_COLD + _ESC_WARMING * command)) for command in batch]
+            found.append((*head, *temperatures, _ESC_BATCH * number, count, _ESC_BUS, online))
+        return found
 
     def esc_status(self) -> list[Values]:
         """Return ESC_STATUS: speed (rev/min), voltage (V) and current (A) of each motor."""
@@ -73,14 +65,8 @@ class DeviceTelemetry:
         speeds = self._batches(self._vehicle.sensors["esc_rpm"].tolist())
         currents = self._batches(self._vehicle.sensors["esc_current"].tolist())
         return [
-            (
-                self._vehicle.time_us,
-                *[round(speed) for speed in speeds[number]],
-                *[voltage] * _ESC_BATCH,
-                *currents[number],
-                _ESC_BATCH * number,
-            )
-            for number in range(len(speeds))
+            (self._vehicle.time_us, *map(round, speeds[i]), *[voltage] * _ESC_BATCH, *currents[i], _ESC_BATCH * i)
+            for i in range(len(speeds))
         ]
 
     def actuator_control_target(self) -> Values:
@@ -102,39 +88,20 @@ class DeviceTelemetry:
         s, quality = self._vehicle.sensors, int(self._vehicle.sensors["range_quality"])
         if not self._is_recent("time_range_us"):
             return None
-        return (
-            self._vehicle.time_ms,
-            *[round_within(100.0 * float(s[field]), 0, _UINT16) for field in ("range_least", "range_largest")],
-            round_within(100.0 * float(s["range_distance"]), 0, _UINT16),
-            _LASER,
-            0,
-            _DOWNWARD,
-            0,
-            0.0,
-            0.0,
-            *[0.0] * 4,
-            0 if quality < 0 else max(quality, 1),  # 0 means unknown, 1 invalid
-        )
+        fields = ("range_least", "range_largest", "range_distance")
+        distances = [round_within(100.0 * float(s[field]), 0, _UINT16) for field in fields]
+        signal = 0 if quality < 0 else max(quality, 1)  # 0 means unknown, 1 invalid
+        return self._vehicle.time_ms, *distances, _LASER, 0, _DOWNWARD, 0, *[0.0] * 6, signal
 
     def optical_flow_rad(self) -> Values | None:
         """Return OPTICAL_FLOW_RAD while samples are recent: angles over ``_FLOW_SPAN_US`` at the last rates."""
         if not self._is_recent("time_flow_us"):
             return None
         s, span = self._vehicle.sensors, _FLOW_SPAN_US * 1e-6
-        gyro = [rate * span for rate in s["flow_gyro"].tolist()]
+        flow, gyro = ([rate * span for rate in s[field].tolist()] for field in ("flow_rate", "flow_gyro"))
         distance = float(s["range_distance"]) if self._is_recent("time_range_us") else -1.0
-        return (
-            self._vehicle.time_us,
-            _FLOW_SPAN_US,
-            *[rate * span for rate in s["flow_rate"].tolist()],
-            *gyro,
-            _NAN,
-            0,
-            distance,
-            0,
-            0,
-            round_within(int(s["flow_quality"]), 0, 255),
-        )
+        quality = round_within(int(s["flow_quality"]), 0, 255)
+        return self._vehicle.time_us, _FLOW_SPAN_US, *flow, *gyro, _NAN, 0, distance, 0, 0, quality
 
     def _is_recent(self, field: str) -> bool:
         """Return whether a sensor's last sample, its time in the estimator's ``field``, is less than 0.5 s old."""

@@ -26,7 +26,7 @@ _FIX_3D = 3  # GPS_FIX_TYPE
 _GRAVITY_UNITS = 1000.0 / GRAVITY
 
 
-def _clamped(value: float, limit: int) -> int:
+def _clamp(value: float, limit: int) -> int:
     """Return ``value`` rounded and clamped to -limit..limit; 0 for NaN."""
     if -limit < value < limit:
         return round(value)
@@ -34,7 +34,7 @@ def _clamped(value: float, limit: int) -> int:
 
 
 def _unsigned(value: float, limit: int) -> int:
-    return max(_clamped(value, limit), 0)
+    return max(_clamp(value, limit), 0)
 
 
 def _dilution(value: float) -> int:
@@ -62,24 +62,10 @@ class FlightTelemetry:
     def sys_status(self) -> Values:
         """Return SYS_STATUS: sensors and battery; radio and joystick are one sensor, always enabled."""
         battery = self._vehicle.commander.battery
-        return (
-            _PRESENT,
-            _PRESENT | _RC,
-            self._health(),
-            0,
-            _unsigned(battery.voltage * 1e3, _UNKNOWN_U16 - 1),
-            _clamped(battery.current * 100.0, _INT16),
-            0,
-            0,
-            0,
-            0,
-            0,
-            0,
-            _unsigned(math.ceil(battery.remaining * 100.0), 100),
-            0,
-            0,
-            _HEALTHY_EXTENDED,
-        )
+        voltage, current = _unsigned(battery.voltage * 1e3, _UNKNOWN_U16 - 1), _clamp(battery.current * 100.0, _INT16)
+        remaining = _unsigned(math.ceil(battery.remaining * 100.0), 100)
+        sensors = _PRESENT, _PRESENT | _RC, self._health()
+        return *sensors, 0, voltage, current, *(0,) * 6, remaining, 0, 0, _HEALTHY_EXTENDED
 
     def _health(self) -> int:
         """Return the MAV_SYS_STATUS_SENSOR bits of the healthy sensors."""
@@ -101,10 +87,10 @@ class FlightTelemetry:
         """Return BATTERY_STATUS: lithium polymer, for all functions; a current of -1 A is unknown."""
         battery = self._vehicle.commander.battery
         voltages = (_unsigned(battery.voltage * 1e3, _UNKNOWN_U16 - 1), *[_UNKNOWN_U16] * 9)
-        current = _clamped(battery.current * 100.0, _INT16)
+        current = _clamp(battery.current * 100.0, _INT16)
         remaining = _unsigned(math.ceil(battery.remaining * 100.0), 100)
-        left = 0 if math.isnan(battery.time_remaining) else _clamped(battery.time_remaining, 1 << 30)
-        used = _clamped(battery.discharged, 1 << 30)
+        left = 0 if math.isnan(battery.time_remaining) else _clamp(battery.time_remaining, 1 << 30)
+        used = _clamp(battery.discharged, 1 << 30)
         return (used, -1, _INT16, *voltages, current, 0, 1, 1, remaining, left, battery.warning + 1, 0, 0, 0, 0, 0, 0)
 
     def system_time(self) -> Values:
@@ -150,68 +136,38 @@ class FlightTelemetry:
             position = ratio["vision_pos"]
         if e["vision_yaw_used"]:
             heading = ratio["vision_yaw"]
-        ratios = (velocity, position, ratio["hgt"], heading, ratio["terrain"])
-        return (
-            self._vehicle.time_us,
-            *(math.sqrt(value) for value in ratios),
-            0.0,
-            float(e["eph"]),
-            float(e["epv"]),
-            int(e["flags"]),
-        )
+        ratios = [math.sqrt(value) for value in (velocity, position, ratio["hgt"], heading, ratio["terrain"])]
+        return self._vehicle.time_us, *ratios, 0.0, float(e["eph"]), float(e["epv"]), int(e["flags"])
 
     def home_position(self) -> Values | None:
         """Return HOME_POSITION once it is set."""
         home = self._vehicle.commander.home
         if home is None:
             return None
-        half = 0.5 * home.yaw
-        return (
-            round(home.latitude * 1e7),
-            round(home.longitude * 1e7),
-            _clamped(home.altitude * 1e3, 1 << 30),
-            *home.position,
-            math.cos(half),
-            0.0,
-            0.0,
-            math.sin(half),
-            0.0,
-            0.0,
-            0.0,
-            home.time_us,
-        )
+        place = round(home.latitude * 1e7), round(home.longitude * 1e7), _clamp(home.altitude * 1e3, 1 << 30)
+        q = math.cos(0.5 * home.yaw), 0.0, 0.0, math.sin(0.5 * home.yaw)
+        return *place, *home.position, *q, 0.0, 0.0, 0.0, home.time_us
 
     def gps_global_origin(self) -> Values | None:
         """Return GPS_GLOBAL_ORIGIN once the origin of the local frame is set."""
         origin = self._vehicle.estimator["origin"]
         if not origin["set"]:
             return None
-        alt = _clamped(float(origin["alt"]) * 1e3, 1 << 30)
+        alt = _clamp(float(origin["alt"]) * 1e3, 1 << 30)
         return round(float(origin["lat"]) * 1e7), round(float(origin["lon"]) * 1e7), alt, self._vehicle.time_us
 
     def gps_raw_int(self) -> Values:
         """Return GPS_RAW_INT: the last fix of the GPS receiver."""
         s = self._vehicle.sensors
         vn, ve, _ = s["gps_vel"].tolist()
-        alt = _clamped(float(s["gps_alt"]) * 1e3, 1 << 30)
-        course = math.degrees(math.atan2(ve, vn)) % 360.0
-        return (
-            self._vehicle.time_us,
-            round(float(s["gps_lat"]) * 1e7),
-            round(float(s["gps_lon"]) * 1e7),
-            alt,
-            *[_dilution(float(s[field])) for field in ("gps_hdop", "gps_vdop")],
-            _unsigned(math.hypot(vn, ve) * 100.0, _UNKNOWN_U16 - 1),
-            int(course * 100.0),
-            int(s["gps_fix"]) & 0xFF,
-            int(s["gps_satellites"]) & 0xFF,
-            alt,
-            _unsigned(float(s["gps_eph"]) * 1e3, 1 << 30),
-            _unsigned(float(s["gps_epv"]) * 1e3, 1 << 30),
-            _unsigned(float(s["gps_speed_accuracy"]) * 1e3, 1 << 30),
-            0,
-            0,
-        )
+        alt = _clamp(float(s["gps_alt"]) * 1e3, 1 << 30)
+        place = round(float(s["gps_lat"]) * 1e7), round(float(s["gps_lon"]) * 1e7), alt
+        dilutions = [_dilution(float(s[field])) for field in ("gps_hdop", "gps_vdop")]
+        speed = _unsigned(math.hypot(vn, ve) * 100.0, _UNKNOWN_U16 - 1)
+        course = int(math.degrees(math.atan2(ve, vn)) % 360.0 * 100.0)
+        fix = int(s["gps_fix"]) & 0xFF, int(s["gps_satellites"]) & 0xFF
+        accuracies = [_unsigned(float(s[f"gps_{field}"]) * 1e3, 1 << 30) for field in ("eph", "epv", "speed_accuracy")]
+        return self._vehicle.time_us, *place, *dilutions, speed, course, *fix, alt, *accuracies, 0, 0
 
     def highres_imu(self) -> bytes:
         """Return HIGHRES_IMU: accelerometer, gyroscope, magnetometer, barometer, in SI units, gauss and hPa."""
@@ -220,16 +176,16 @@ class FlightTelemetry:
     def scaled_imu(self) -> Values:
         """Return SCALED_IMU: accelerometer (milli-g), gyroscope (mrad/s), magnetometer (milligauss)."""
         s = self._vehicle.sensors
-        accel = [_clamped(v * _GRAVITY_UNITS, _INT16) for v in s["accel"].tolist()]
-        gyro = [_clamped(v * 1e3, _INT16) for v in s["gyro"].tolist()]
-        mag = [_clamped(v * 1e3, _INT16) for v in s["mag"].tolist()]
-        temperature = _clamped(float(s["baro_temperature"]) * 100.0, _INT16)
+        accel = [_clamp(v * _GRAVITY_UNITS, _INT16) for v in s["accel"].tolist()]
+        gyro = [_clamp(v * 1e3, _INT16) for v in s["gyro"].tolist()]
+        mag = [_clamp(v * 1e3, _INT16) for v in s["mag"].tolist()]
+        temperature = _clamp(float(s["baro_temperature"]) * 100.0, _INT16)
         return (self._vehicle.time_ms, *accel, *gyro, *mag, temperature)
 
     def scaled_pressure(self) -> Values:
         """Return SCALED_PRESSURE: the barometer, hPa and 0.01 degrees Celsius."""
         s = self._vehicle.sensors
-        temperature = _clamped(float(s["baro_temperature"]) * 100.0, _INT16)
+        temperature = _clamp(float(s["baro_temperature"]) * 100.0, _INT16)
         return self._vehicle.time_ms, float(s["baro_pressure"]) * 0.01, 0.0, temperature, 0
 
     def attitude_target(self) -> bytes:

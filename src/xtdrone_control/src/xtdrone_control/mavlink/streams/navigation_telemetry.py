@@ -97,16 +97,8 @@ class NavigationTelemetry:
         if goal is None:
             return None
         c = self._vehicle.control
-        return (
-            self._vehicle.time_ms,
-            *self._global_position(goal),
-            *c["sp_velocity"].tolist(),
-            *c["sp_acceleration"].tolist(),
-            float(c["sp_yaw"]),
-            float(c["sp_yaw_rate"]),
-            0,
-            _FRAME_GLOBAL_INT,
-        )
+        motion = *c["sp_velocity"].tolist(), *c["sp_acceleration"].tolist(), float(c["sp_yaw"]), float(c["sp_yaw_rate"])
+        return self._vehicle.time_ms, *self._global_position(goal), *motion, 0, _FRAME_GLOBAL_INT
 
     def orbit_execution_status(self) -> Values | None:
         """Return ORBIT_EXECUTION_STATUS: the circle being flown; None outside ORBIT."""
@@ -139,28 +131,16 @@ class NavigationTelemetry:
         goal = self._goal()
         flags = _UTM_FLAGS | (0 if goal is None else _UTM_NEXT_WAYPOINT)
         next_lat, next_lon, next_alt = (0, 0, 0.0) if goal is None else self._global_position(goal)
+        places = lat, lon, round(alt * 1e3), 0, next_lat, next_lon, round(next_alt * 1e3)
+        speeds = [round_within(speed * 100.0, -_INT16, _INT16) for speed in self._vehicle.velocity]
         variances = [max(value, 0.0) for value in self._vehicle.variances.tolist()]
+        horizontal, vertical = math.sqrt(variances[6] + variances[7]), math.sqrt(variances[8])
+        errors = 1e3 * horizontal, 1e3 * vertical, 1e2 * math.sqrt(sum(variances[3:6]))
+        accuracies = [round_within(error, 0, _UINT16) for error in errors]
         state = _UTM_UNKNOWN
         if self._vehicle.commander.armed:
             state = _UTM_GROUND if self._vehicle.control["landing"]["landed"] else _UTM_AIRBORNE
-        return (
-            EPOCH_US + self._vehicle.time_us,
-            lat,
-            lon,
-            round(alt * 1e3),
-            0,
-            next_lat,
-            next_lon,
-            round(next_alt * 1e3),
-            *[round_within(speed * 100.0, -_INT16, _INT16) for speed in self._vehicle.velocity],
-            round_within(1e3 * math.sqrt(variances[6] + variances[7]), 0, _UINT16),
-            round_within(1e3 * math.sqrt(variances[8]), 0, _UINT16),
-            round_within(1e2 * math.sqrt(sum(variances[3:6])), 0, _UINT16),
-            0,
-            *[0] * 18,
-            state,
-            flags,
-        )
+        return EPOCH_US + self._vehicle.time_us, *places, *speeds, *accuracies, 0, *[0] * 18, state, flags
 
     def open_drone_id_location(self) -> Values:
         """Return OPEN_DRONE_ID_LOCATION: the GPS receiver's position, for remote identification."""
@@ -171,42 +151,23 @@ class NavigationTelemetry:
         if self._vehicle.commander.armed and self._vehicle.commander.system_status == _CRITICAL_STATUS:
             status = _ODID_EMERGENCY
         course = round(math.degrees(math.atan2(ve, vn)) % 360.0) * 100
-        return (
-            round(float(s["gps_lat"]) * 1e7) if fix >= 2 else 0,
-            round(float(s["gps_lon"]) * 1e7) if fix >= 2 else 0,
-            float(s["baro_alt"]),
-            float(round(float(s["gps_alt"]))) if fix >= 3 else _ODID_UNKNOWN_HEIGHT,
-            self._vehicle.height_over_home() if self._vehicle.commander.home is not None else _ODID_UNKNOWN_HEIGHT,
-            (EPOCH_US + self._vehicle.time_us) // 1000 % _HOUR_MS / 1000.0,
-            min(course, 35_999),
-            round_within(100.0 * math.hypot(vn, ve), 0, 25_425),
-            round_within(-100.0 * vd, -6200, 6200),
-            0,
-            0,
-            *[0] * 20,
-            status,
-            0,
-            _class_of(float(s["gps_eph"]), _HORIZONTAL_ACCURACY) if fix >= 2 else 0,
-            _class_of(float(s["gps_epv"]), _VERTICAL_ACCURACY) if fix >= 2 else 0,
-            0,
-            _class_of(float(s["gps_speed_accuracy"]), _SPEED_ACCURACY),
-            _ODID_SECOND,
-        )
+        place = [round(float(s[f"gps_{name}"]) * 1e7) if fix >= 2 else 0 for name in ("lat", "lon")]
+        altitude = float(round(float(s["gps_alt"]))) if fix >= 3 else _ODID_UNKNOWN_HEIGHT
+        has_home = self._vehicle.commander.home is not None
+        height = self._vehicle.height_over_home() if has_home else _ODID_UNKNOWN_HEIGHT
+        time = (EPOCH_US + self._vehicle.time_us) // 1000 % _HOUR_MS / 1000.0
+        speeds = round_within(100.0 * math.hypot(vn, ve), 0, 25_425), round_within(-100.0 * vd, -6200, 6200)
+        horizontal = _class_of(float(s["gps_eph"]), _HORIZONTAL_ACCURACY) if fix >= 2 else 0
+        vertical = _class_of(float(s["gps_epv"]), _VERTICAL_ACCURACY) if fix >= 2 else 0
+        accuracies = horizontal, vertical, 0, _class_of(float(s["gps_speed_accuracy"]), _SPEED_ACCURACY), _ODID_SECOND
+        motion = time, min(course, 35_999), *speeds
+        return *place, float(s["baro_alt"]), altitude, height, *motion, 0, 0, *[0] * 20, status, 0, *accuracies
 
     def open_drone_id_system(self) -> Values | None:
         """Return OPEN_DRONE_ID_SYSTEM: the takeoff position as the operator's, for remote identification."""
         home = self._vehicle.commander.home
         if home is None or self._vehicle.sensors["gps_fix"] < 3:
             return None
-        return (
-            round(home.latitude * 1e7),
-            round(home.longitude * 1e7),
-            _ODID_UNKNOWN_HEIGHT,
-            _ODID_UNKNOWN_HEIGHT,
-            home.altitude,
-            (EPOCH_US - _ODID_EPOCH_US + self._vehicle.time_us) // 1_000_000,
-            1,
-            *[0] * 3,
-            *[0] * 20,
-            *[0] * 4,
-        )
+        place = round(home.latitude * 1e7), round(home.longitude * 1e7)
+        time = (EPOCH_US - _ODID_EPOCH_US + self._vehicle.time_us) // 1_000_000
+        return *place, _ODID_UNKNOWN_HEIGHT, _ODID_UNKNOWN_HEIGHT, home.altitude, time, 1, *[0] * 27

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from xtdrone_native import mavlink_wire
 
-from xtdrone_control.autopilot.tables.reader import one_of, read_table
+from xtdrone_control.autopilot.tables.reader import Converter, one_of, read_table
 from xtdrone_control.mavlink.streams.telemetry import Source, Telemetry, silent
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavlink.wire.frame_packing import Format
@@ -47,18 +47,9 @@ def _rate(text: str) -> float | None:
     return float(text) if text else None
 
 
-_ROWS = [
-    _Row(*row)
-    for row in read_table(
-        "streams",
-        {
-            "message": str,
-            "source": one_of("vehicle", "link", "gimbal", "orbit", "obstacles", "none"),
-            "onboard": _rate,
-            "ground_station": _rate,
-        },
-    )
-]
+_SOURCES = one_of("vehicle", "link", "gimbal", "orbit", "obstacles", "none")
+_COLUMNS: dict[str, Converter] = {"message": str, "source": _SOURCES, "onboard": _rate, "ground_station": _rate}
+_ROWS = [_Row(*row) for row in read_table("streams", _COLUMNS)]
 ONBOARD_RATES = {row.message: row.onboard for row in _ROWS if row.onboard is not None}
 GCS_RATES = {row.message: row.ground_station for row in _ROWS if row.ground_station is not None}
 SILENT = frozenset(row.message for row in _ROWS if row.source == "none")

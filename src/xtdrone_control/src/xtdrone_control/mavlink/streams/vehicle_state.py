@@ -23,7 +23,8 @@ Content = Values | bytes
 
 EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0
 
-_ESTIMATOR_FIELDS = (
+# fields of the records that xtdrone_native.mavlink_wire reads
+_ESTIMATOR_FIELDS = [
     "q",
     "position",
     "velocity",
@@ -33,9 +34,9 @@ _ESTIMATOR_FIELDS = (
     "initialised",
     "altitude_valid",
     "terrain_valid",
-)
-_SENSOR_FIELDS = ("accel", "gyro", "mag", "baro_pressure", "baro_alt", "baro_temperature")
-_CONTROL_FIELDS = (
+]
+_SENSOR_FIELDS = ["accel", "gyro", "mag", "baro_pressure", "baro_alt", "baro_temperature"]
+_CONTROL_FIELDS = [
     "sp_q",
     "sp_rates",
     "sp_thrust",
@@ -45,7 +46,7 @@ _CONTROL_FIELDS = (
     "sp_yaw",
     "sp_yaw_rate",
     "actuators",
-)
+]
 
 
 def _records(autopilot: Autopilot, index: int) -> mavlink_wire.Telemetry:

@@ -18,19 +18,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.tables.reader import read_table
 
-_CODES = {
-    "char": "s",
-    "uint8_t": "B",
-    "int8_t": "b",
-    "uint16_t": "H",
-    "int16_t": "h",
-    "uint32_t": "I",
-    "int32_t": "i",
-    "uint64_t": "Q",
-    "int64_t": "q",
-    "float": "f",
-    "double": "d",
-}
+_TYPES = "char uint8_t int8_t uint16_t int16_t uint32_t int32_t uint64_t int64_t float double"
+_CODES = dict(zip(_TYPES.split(), "sBbHhIiQqfd", strict=True))
 _FIELD = re.compile(r"(\w+?)(?:\[(\d+)\])? (\w+)")
 
 
