@@ -25,7 +25,7 @@ import numpy as np
 
 from xtdrone_control.autopilot.parameters import dependent_parameters, former_parameters, parameter_file
 from xtdrone_control.autopilot.parameters.derived_records import DERIVED
-from xtdrone_control.autopilot.tables.reader import number, one_of, read_table
+from xtdrone_control.autopilot.tables.reader import Converter, number, one_of, read_table
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32
 FLOAT = 9  # MAV_PARAM_TYPE_REAL32
@@ -76,7 +76,7 @@ class Parameter:
         return self.effect != "none"
 
 
-_COLUMNS = {
+_COLUMNS: dict[str, Converter] = {
     "name": str,
     "effect": one_of("kernel", "other", "none"),
     "default": number,
@@ -90,9 +90,9 @@ _COLUMNS = {
 def _read_parameters() -> dict[str, Parameter]:
     """Return every parameter by name, in the order of the file."""
     found = {}
-    for name, effect, default, *limits, unit, text in read_table("parameters", _COLUMNS):
+    for name, effect, default, minimum, maximum, unit, text in read_table("parameters", _COLUMNS):
         kind = INT32 if isinstance(default, int) else FLOAT
-        found[name] = Parameter(name, effect, kind, default, *limits, unit, text or _STORED_ONLY)
+        found[name] = Parameter(name, effect, kind, default, minimum, maximum, unit, text or _STORED_ONLY)
     return found
 
 
