@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.home_position import HomePosition
@@ -12,12 +12,9 @@ from xtdrone_control.autopilot.commander.motors import ArmReason
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, Announcements
 from xtdrone_control.autopilot.modes import Mode
-from xtdrone_control.autopilot.navigator.navigator import Goal
-from xtdrone_control.autopilot.vehicle_view import Vector
+from xtdrone_control.autopilot.navigator.navigator import Goal, Navigator
+from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
 from xtdrone_control.geodesy import projection
-
-if TYPE_CHECKING:
-    from xtdrone_control.autopilot.commander.commander import Commander
 
 
 class Result(enum.IntEnum):
@@ -31,10 +28,28 @@ class Result(enum.IntEnum):
     IN_PROGRESS = 5
 
 
+class CommandedVehicle(Protocol):
+    """What flight commands need of the commander; see ``commander.Commander``."""
+
+    view: VehicleView
+    navigator: Navigator
+    armed: bool
+
+    @property
+    def mode(self) -> Mode:
+        """Active mode."""
+
+    def request(self, mode: Mode) -> Result:
+        """Switch to a mode if possible."""
+
+    def arm(self, reason: ArmReason) -> bool:
+        """Arm if the checks allow it; return whether the vehicle is armed."""
+
+
 class FlightCommands:
     """Flight commands of one vehicle, implemented as mode changes."""
 
-    def __init__(self, commander: Commander, home: HomePosition, announcements: Announcements) -> None:
+    def __init__(self, commander: CommandedVehicle, home: HomePosition, announcements: Announcements) -> None:
         """Command the vehicle of ``commander``."""
         self._commander = commander
         self._view, self._navigator = commander.view, commander.navigator
