@@ -105,9 +105,7 @@ class Commander:
         self.commands = FlightCommands(self, self._home, self._announcements)
         self.navigator.mission.set_home = self.commands.set_home
         self.manual = ManualControl(get)
-        self.offboard = OffboardSetpoint(
-            self.view, lambda: self.armed and self._active_mode is modes.OFFBOARD, lambda: get("COM_OF_LOSS_T")
-        )
+        self.offboard = OffboardSetpoint(self.view, self._follows_setpoints, lambda: get("COM_OF_LOSS_T"))
         self.health = Health(self.view, get, self.navigator, self.offboard, self.manual, self._announcements)
         self._manual_flight = ManualFlight(self.view, get)
         self._failsafe = Failsafe(get, modes.AUTO_LOITER, lambda: parameters.changes)
@@ -583,6 +581,9 @@ class Commander:
             self._set_intended_mode(modes.POSCTL)
             self._announcements.tell(INFO, "Pilot took over using sticks", "commander_rc_override")
         return False
+
+    def _follows_setpoints(self) -> bool:
+        return self.armed and self._active_mode is modes.OFFBOARD
 
     def gcs_heartbeat(self) -> None:
         """Record a heartbeat from a ground station."""
