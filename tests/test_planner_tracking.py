@@ -56,7 +56,7 @@ def flown(fleet: str, settings: PlannerSettings) -> Tracking:
     while (time := simulation.time_us * 1e-6) < way.end + AFTER:
         position, velocity, _ = way.at(time + settings.lead)
         acceleration = acceleration_setpoint(way, time + settings.lead, settings)
-        commander.offboard_trajectory(tuple(position), tuple(velocity), tuple(acceleration), math.nan, math.nan)
+        commander.offboard.set_trajectory(tuple(position), tuple(velocity), tuple(acceleration), math.nan, math.nan)
         if commander.mode is not modes.OFFBOARD:
             fly(0.1)
             assert commander.request(modes.OFFBOARD) == 0

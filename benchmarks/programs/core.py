@@ -74,7 +74,7 @@ def _steer(simulation: Simulation) -> None:
     phase = simulation.time_us * 1e-6
     velocity = (math.cos(phase), math.sin(phase), 0.0)
     for commander in simulation.commanders:
-        commander.offboard_trajectory(_UNSET, velocity, _UNSET, math.nan, 0.0)
+        commander.offboard.set_trajectory(_UNSET, velocity, _UNSET, math.nan, 0.0)
 
 
 def speed_of(simulation: Simulation, seconds: float) -> float:

@@ -30,7 +30,7 @@ from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.control.control_allocator import RotorLayout
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_control.mavlink.udp_port_and_clients import LOOPBACK
 from xtdrone_control.mavlink.wire.codec import decoder

@@ -3,6 +3,11 @@ from setuptools import find_packages, setup
 
 setup(
     **generate_distutils_setup(
-        packages=find_packages("src"), package_dir={"": "src"}, package_data={"xtdrone_control.geodesy": ["egm96.xz"]}
+        packages=find_packages("src"),
+        package_dir={"": "src"},
+        package_data={
+            "xtdrone_control.autopilot.tables": ["*.csv"],
+            "xtdrone_control.geodesy": ["egm96.xz"],
+        },
     )
 )

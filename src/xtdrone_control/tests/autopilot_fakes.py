@@ -96,7 +96,7 @@ class Flight:
     def hover(self) -> None:
         """Return a position setpoint of the OFFBOARD stream."""
         nan = (math.nan,) * 3
-        self.commander.offboard_trajectory((1.0, 2.0, -3.0), nan, nan, 0.0, math.nan)
+        self.commander.offboard.set_trajectory((1.0, 2.0, -3.0), nan, nan, 0.0, math.nan)
 
     def texts(self) -> list[str]:
         """Return the queued texts, without the tab that marks an additional event."""

@@ -12,8 +12,8 @@ from xtdrone_control.autopilot.logger.mavlink_log_pieces import LogStream
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, Streams
+from xtdrone_control.mavlink.streams.telemetry import Telemetry
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
 
@@ -23,7 +23,7 @@ SYSTEM = FIRST_ID + 1
 class FakeLink:
     """A client's link and port that keep all sent messages, decoded."""
 
-    def __init__(self, telemetry: VehicleTelemetry, system_id: int) -> None:
+    def __init__(self, telemetry: Telemetry, system_id: int) -> None:
         self.telemetry = telemetry
         self.streams = Streams(telemetry, GCS_RATES)
         self.system_id = system_id
@@ -79,7 +79,7 @@ class Served:
         self.vehicle = Vehicle("iris", 0, system - 1)
         self.parameters = parameters or Parameters({"MAV_SYS_ID": system})
         self.commander = Commander(self.vehicle, self.autopilot, self.parameters, 0)
-        telemetry = VehicleTelemetry(self.commander, self.autopilot, 0)
+        telemetry = Telemetry(self.commander, self.autopilot, 0)
         self.link, self.other = (FakeLink(telemetry, system) for _ in range(2))
         self.commander.open_log_stream = LogStream
         self.receiver = Receiver(self.commander, self.autopilot, 0, lambda: [self.link, self.other])

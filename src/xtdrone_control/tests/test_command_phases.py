@@ -61,7 +61,7 @@ def fly_mission(served: Served) -> None:
 
 def fly_offboard(served: Served) -> None:
     def hover() -> None:
-        served.commander.offboard_trajectory((0.0, 0.0, -2.0), (NAN,) * 3, (NAN,) * 3, 0.0, NAN)
+        served.commander.offboard.set_trajectory((0.0, 0.0, -2.0), (NAN,) * 3, (NAN,) * 3, 0.0, NAN)
 
     run(served, 0.5, hover)
     fly(served, modes.AUTO_LOITER)

@@ -262,11 +262,11 @@ def test_offboard_writes_setpoints(flight):
     assert all(math.isnan(v) for v in s["velocity"])
     assert s["yaw"] == 0.0
     assert math.isnan(s["yaw_rate"])
-    flight.commander.offboard_attitude((2.0, 0.0, 0.0, 0.0), math.nan, 1.5)
+    flight.commander.offboard.set_attitude((2.0, 0.0, 0.0, 0.0), math.nan, 1.5)
     assert s["task"] == TASK_ATTITUDE
     assert s["attitude_q"].tolist() == [1.0, 0.0, 0.0, 0.0]
     assert s["thrust"] == 1.0
-    flight.commander.offboard_rates((0.1, 0.2, 0.3), 0.5)
+    flight.commander.offboard.set_rates((0.1, 0.2, 0.3), 0.5)
     assert s["task"] == TASK_RATES
     assert s["rates"].tolist() == [0.1, 0.2, 0.3]
 
@@ -280,9 +280,9 @@ def test_setpoints_wait_for_offboard(flight):
 @pytest.mark.parametrize(
     "give",
     [
-        lambda c: c.offboard_trajectory(_NAN3, _NAN3, _NAN3, 0.0, 0.0),
-        lambda c: c.offboard_attitude((0.0, 0.0, 0.0, 0.0), 0.0, 0.5),
-        lambda c: c.offboard_attitude((math.nan, 0.0, 0.0, 1.0), 0.0, 0.5),
+        lambda c: c.offboard.set_trajectory(_NAN3, _NAN3, _NAN3, 0.0, 0.0),
+        lambda c: c.offboard.set_attitude((0.0, 0.0, 0.0, 0.0), 0.0, 0.5),
+        lambda c: c.offboard.set_attitude((math.nan, 0.0, 0.0, 1.0), 0.0, 0.5),
         lambda c: c.manual_control(0.0, math.nan, 0.0, 0.0),
     ],
 )
@@ -436,7 +436,7 @@ def test_auto_modes_without_a_position_descend(flight):
 def test_attitude_flight_needs_no_position(flight):
     fly_offboard(flight)
     flight.autopilot.estimator["position_valid"] = 0
-    flight.run(3.0, lambda: flight.commander.offboard_attitude((1.0, 0.0, 0.0, 0.0), math.nan, 0.5))
+    flight.run(3.0, lambda: flight.commander.offboard.set_attitude((1.0, 0.0, 0.0, 0.0), math.nan, 0.5))
     assert not flight.commander.failsafe
 
 
@@ -478,7 +478,7 @@ def test_home_is_where_it_was_armed(flight):
 @pytest.mark.parametrize("place", [(math.nan, 8.0, 0.0), (200.0, 8.0, 0.0), (47.0, 8.0, math.inf)])
 def test_bad_home_is_denied(flight, place):
     home = flight.commander.home
-    assert flight.commander.set_home(place) is Result.DENIED
+    assert flight.commander.commands.set_home(place) is Result.DENIED
     assert flight.commander.home is home
 
 

@@ -9,12 +9,11 @@ import pytest
 
 from xtdrone_control import rotation_kernels as rotation
 from xtdrone_control.autopilot.autopilot import Autopilot
-from xtdrone_control.autopilot.control import attitude_control, control_allocator, position_control
+from xtdrone_control.autopilot.control import attitude_and_rate_control, control_allocator, position_control
 from xtdrone_control.autopilot.control.control_allocator import RotorLayout
-from xtdrone_control.autopilot.estimator.angular_velocity import update_angular_velocity
-from xtdrone_control.autopilot.estimator.sample_correction import correct_samples
 from xtdrone_control.autopilot.parameters.derived_records import geometry_parameters
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
+from xtdrone_control.autopilot.sensors import correct_samples, update_angular_velocity
 from xtdrone_control.autopilot.state import (
     CONTROL,
     ESTIMATOR,
@@ -146,7 +145,7 @@ def test_small_heading_error_gives_yaw_gain(parts, angle):
     c, e, p = parts
     c["sp_q"] = rotation.from_euler(0.0, 0.0, angle)
     c["sp_yaw_rate"] = 0.0
-    attitude_control.attitude_control(c, e, p)
+    attitude_and_rate_control.attitude_control(c, e, p)
     weight = p["mc_yaw_weight"]
     expected = 2.0 * math.sin(0.5 * weight * angle) * p["mc_yaw_p"] / weight
     np.testing.assert_allclose(c["sp_rates"], (0.0, 0.0, expected), atol=1e-6)
@@ -157,7 +156,7 @@ def test_roll_error_gives_roll_gain_at_any_heading(parts):
     e["q"] = rotation.from_euler(0.0, 0.0, 2.0)
     c["sp_q"] = rotation.from_euler(0.1, 0.0, 2.0)
     c["sp_yaw_rate"] = 0.0
-    attitude_control.attitude_control(c, e, p)
+    attitude_and_rate_control.attitude_control(c, e, p)
     np.testing.assert_allclose(c["sp_rates"], (2.0 * math.sin(0.05) * p["mc_roll_p"], 0.0, 0.0), atol=1e-6)
 
 

@@ -98,13 +98,13 @@ def test_arming_by_command_sets_home_and_arming_by_a_mission_waits_for_the_takeo
     flight.autopilot.estimator["eph"] = 10.0
     move(flight, 3.0, 0.0, 0.0)
     flight.commander.navigator.set_plan(plan.MISSION, [at(20.0, 0.0, 10.0, plan.TAKEOFF), at(40.0, 0.0)])
-    assert flight.commander.start_mission(0.0) is Result.ACCEPTED
+    assert flight.commander.commands.start_mission(0.0) is Result.ACCEPTED
     assert place(flight) == (0.0, 0.0, 0.0)
 
 
 def test_a_home_set_by_command_stays_until_one_is_set_here():
     flight = standing()
-    assert flight.commander.set_home((ORIGIN[0] + 1e-4, ORIGIN[1], 500.0), -1.0) is Result.ACCEPTED
+    assert flight.commander.commands.set_home((ORIGIN[0] + 1e-4, ORIGIN[1], 500.0), -1.0) is Result.ACCEPTED
     home = flight.commander.home
     assert home.manual
     assert home.yaw == pytest.approx(math.tau - 1.0)
@@ -117,7 +117,7 @@ def test_a_home_set_by_command_stays_until_one_is_set_here():
     flight.commander.arm_disarm(False)
     flight.run(0.2)
     assert flight.commander.home is home
-    assert flight.commander.set_home(None) is Result.ACCEPTED
+    assert flight.commander.commands.set_home(None) is Result.ACCEPTED
     assert place(flight) == (9.0, 0.0, 0.0)
     move(flight, 5.0, 0.0, 0.0)
     assert place(flight) == (5.0, 0.0, 0.0), "no longer manual"
@@ -125,8 +125,8 @@ def test_a_home_set_by_command_stays_until_one_is_set_here():
 
 def test_an_unknown_heading_of_home_is_sent_as_nan():
     flight = standing()
-    assert flight.commander.set_home((*ORIGIN[:2], 488.0), NAN) is Result.ACCEPTED
-    values = Telemetry(flight.commander, flight.autopilot, 0).home_position()
+    assert flight.commander.commands.set_home((*ORIGIN[:2], 488.0), NAN) is Result.ACCEPTED
+    values = Telemetry(flight.commander, flight.autopilot, 0).flight.home_position()
     assert math.isnan(values[6])
     assert values[:3] == (round(ORIGIN[0] * 1e7), round(ORIGIN[1] * 1e7), 488_000)
 
@@ -138,8 +138,8 @@ def test_without_com_home_en_home_is_neither_set_nor_accepted():
     flight.run(0.2)
     assert flight.commander.home is None
     for location in (None, ORIGIN):
-        assert flight.commander.set_home(location) is Result.DENIED
-    assert flight.commander.return_to_launch() is Result.TEMPORARILY_REJECTED
+        assert flight.commander.commands.set_home(location) is Result.DENIED
+    assert flight.commander.commands.return_to_launch() is Result.TEMPORARILY_REJECTED
 
 
 @pytest.mark.parametrize(("in_air", "north"), [(0, None), (1, 3.0)])
@@ -182,5 +182,5 @@ def test_a_mission_is_built_round_the_new_place():
     flight.commander.arm_disarm(True)
     flight.place(260.0, 0.0, -10.0)
     flight.run(0.2)
-    assert flight.commander.return_to_launch() is Result.ACCEPTED
+    assert flight.commander.commands.return_to_launch() is Result.ACCEPTED
     assert "RTL: climb to 514 m (30 m above destination)" in flight.texts()

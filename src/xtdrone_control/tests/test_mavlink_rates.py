@@ -12,11 +12,10 @@ from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, World, heartbeat, local_target, named
 
 from xtdrone_control.autopilot.autopilot import STEP_US
-from xtdrone_control.autopilot.estimator.vibration import update_vibration
+from xtdrone_control.autopilot.sensors import update_vibration
 from xtdrone_control.autopilot.state import TASK_GOTO
 from xtdrone_control.fleet import GCS_REMOTE_PORT
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import SILENT
-from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, ONBOARD_RATES
+from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, ONBOARD_RATES, SILENT
 from xtdrone_control.mavlink.wire.codec import decoder, message_name, split
 
 _SYSTEM = FIRST_ID + 1

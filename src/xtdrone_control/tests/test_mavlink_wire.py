@@ -19,7 +19,7 @@ from xtdrone_native import mavlink_wire
 
 from xtdrone_control import rotation
 from xtdrone_control.geodesy import projection
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
+from xtdrone_control.mavlink.streams.telemetry import Telemetry
 from xtdrone_control.mavlink.wire import codec
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
 from xtdrone_control.mavlink.wire.frame_packing import Format, PackingError
@@ -265,7 +265,7 @@ class _Vehicle:
     def __init__(self) -> None:
         self.autopilot = FakeAutopilot(3)
         self.commander = SimpleNamespace(home=None, armed=False, view=SimpleNamespace(global_valid=True))
-        self.telemetry = VehicleTelemetry(self.commander, self.autopilot, 1)
+        self.telemetry = Telemetry(self.commander, self.autopilot, 1)
         self.records = [
             table[1] for table in (self.autopilot.estimator, self.autopilot.sensors, self.autopilot.control)
         ]
@@ -311,7 +311,7 @@ def test_payloads_are_those_of_pythons_arithmetic(senseless):
         vehicle.telemetry.refresh(now)
         for name, reference in REFERENCES.items():
             expected = _outcome(lambda: formats[name].payload(reference(*vehicle.records, vehicle.commander, now)))  # noqa: B023
-            found = _outcome(getattr(vehicle.telemetry, name.lower()))
+            found = _outcome(vehicle.telemetry.source(name))
             if expected == "PackingError":
                 assert isinstance(found, str), name
             else:
@@ -331,11 +331,11 @@ def test_a_message_waits_for_the_estimator():
     vehicle.records[0]["initialised"] = vehicle.records[0]["altitude_valid"] = 0
     vehicle.telemetry.refresh(4000)
     for name in ("attitude", "attitude_quaternion", "local_position_ned", "odometry"):
-        assert getattr(vehicle.telemetry, name)() is None
+        assert vehicle.telemetry.source(name)() is None
     vehicle.records[0]["initialised"] = 1
     vehicle.telemetry.refresh(8000)
-    assert vehicle.telemetry.attitude() is not None
-    assert vehicle.telemetry.odometry() is None
+    assert vehicle.telemetry.flight.attitude() is not None
+    assert vehicle.telemetry.flight.odometry() is None
 
 
 def test_a_schedule_in_use_is_not_changed():

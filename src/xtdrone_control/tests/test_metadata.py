@@ -18,9 +18,9 @@ from xtdrone_control import modes
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE, CODES, ENUM_TYPES, MAX_ARGUMENTS
 from xtdrone_control.autopilot.events.events import event, event_id
-from xtdrone_control.autopilot.parameters import metadata, parameter_choices
-from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, describe
-from xtdrone_control.mavlink.microservices.files_and_logs.metadata import checksum
+from xtdrone_control.autopilot.parameters import metadata
+from xtdrone_control.autopilot.parameters.parameters import FIXED, INT32, NAMES, describe
+from xtdrone_control.mavlink.microservices.files_and_logs.ftp import checksum
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 
@@ -45,8 +45,7 @@ def literals():
 
 
 def test_every_event_that_the_code_names_is_in_the_catalogue():
-    named = {value for path, value in literals()
-             if path.stem != "event_catalogue" and _EVENT_NAME.fullmatch(value)}  # fmt: skip
+    named = {value for _, value in literals() if _EVENT_NAME.fullmatch(value)}
     others = {*ENUM_TYPES, "check_estimator_", "failsafe_flags", "logger_status"}  # enumerations, log topics, a part
     assert named - set(CATALOGUE) == others & named
     assert len(named) > 80
@@ -100,7 +99,7 @@ def test_texts_of_a_flight_have_tabs_and_events():
     flight.run(1.0)
     commander.texts.clear()
     commander.events.clear()
-    commander.takeoff(math.nan, math.nan)
+    commander.commands.takeoff(math.nan, math.nan)
     commander.arm_disarm(True)
     flight.run(3.0, flight.follow)
     flight.place(1.0, 0.0, -2.5)
@@ -216,19 +215,19 @@ def test_definitions_of_parameters(served):
 
 
 def test_choices_are_those_that_a_parameter_can_have():
-    for name, choices in parameter_choices.CHOICES.items():
+    for name, choices in metadata.CHOICES.items():
         entry = describe(name)
         assert all(entry.minimum <= value <= entry.maximum for value in choices), name
         assert entry.default in choices, name
     effective = [entry for entry in map(describe, NAMES) if entry.has_effect]
     small = {entry.name for entry in effective if entry.type == INT32 and entry.maximum <= 9 and not entry.unit}
-    assert small <= set(parameter_choices.CHOICES) | set(parameter_choices.BITS), "a new choice needs its words"
+    assert small <= set(metadata.CHOICES) | set(metadata.BITS), "a new choice needs its words"
     groups = {name.split("_")[0] for name in NAMES if not name.startswith("RC")}
     assert groups <= set(metadata._GROUPS), "a new group of parameters needs its name"
-    for name, bits in parameter_choices.BITS.items():
+    for name, bits in metadata.BITS.items():
         assert describe(name).type == INT32
         assert all(1 << bit <= describe(name).maximum for bit in bits), name
-    assert set(NAMES) >= parameter_choices.AT_START | parameter_choices.FIXED
+    assert set(NAMES) >= metadata.AT_START | FIXED
 
 
 @pytest.fixture

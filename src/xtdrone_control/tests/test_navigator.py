@@ -39,7 +39,7 @@ def test_the_mode_after_a_takeoff(action, loaded, mode):
     flight = MissionFlight(COM_TAKEOFF_ACT=action)
     if loaded:
         flight.load(at(0, 0, command=plan.TAKEOFF), at(40, 0))
-    flight.commander.takeoff(math.nan, math.nan)
+    flight.commander.commands.takeoff(math.nan, math.nan)
     flight.commander.arm_disarm(True)
     seen = []
     flight.run(3.0, lambda: (flight.follow(), seen.append(flight.commander.mode)))
@@ -68,7 +68,7 @@ def test_takeoff_goes_to_loiter_within_the_altitude_radius():
 
 def test_takeoff_to_a_given_altitude():
     flight = Flight()
-    assert flight.commander.takeoff(ORIGIN[2] + 12.0, 1.0) is Result.ACCEPTED
+    assert flight.commander.commands.takeoff(ORIGIN[2] + 12.0, 1.0) is Result.ACCEPTED
     flight.commander.arm_disarm(True)
     assert goal(flight) == pytest.approx([0.0, 0.0, -12.0])
     assert flight.setpoint["goal_yaw"] == 1.0
@@ -77,7 +77,7 @@ def test_takeoff_to_a_given_altitude():
 
 def test_takeoff_is_raised_to_the_least_altitude():
     flight = Flight()
-    flight.commander.takeoff(ORIGIN[2] + 1.0, math.nan)
+    flight.commander.commands.takeoff(ORIGIN[2] + 1.0, math.nan)
     flight.commander.arm_disarm(True)
     assert goal(flight) == pytest.approx([0.0, 0.0, -2.5])
     assert "Using minimum takeoff altitude: 2.50 m" in flight.texts()
@@ -85,12 +85,12 @@ def test_takeoff_is_raised_to_the_least_altitude():
 
 def test_takeoff_to_infinity_is_denied():
     flight = Flight()
-    assert flight.commander.takeoff(math.inf, math.nan) is Result.DENIED
+    assert flight.commander.commands.takeoff(math.inf, math.nan) is Result.DENIED
     assert flight.commander.mode is modes.AUTO_LOITER
 
 
 def test_takeoff_in_the_air_does_not_descend(flight):
-    flight.commander.takeoff(ORIGIN[2] + 5.0, math.nan)
+    flight.commander.commands.takeoff(ORIGIN[2] + 5.0, math.nan)
     assert goal(flight) == [0.0, 0.0, -10.0]
     assert "Already higher than takeoff altitude" in flight.texts()
     flight.run(0.1)
@@ -107,7 +107,7 @@ def test_loiter_brakes_ahead(flight):
 
 def test_land_aims_at_homes_height(flight):
     flight.place(20.0, 5.0, -10.0)
-    assert flight.commander.land() is Result.ACCEPTED
+    assert flight.commander.commands.land() is Result.ACCEPTED
     assert (flight.setpoint["task"], goal(flight)) == (TASK_LAND, [20.0, 5.0, 0.0])
     assert flight.texts() == ["Landing at current position"]
 
@@ -179,13 +179,13 @@ def test_return_from_low_over_home_does_not_climb_to_descend(flight):
 
 def test_return_needs_a_home(flight):
     flight.commander.navigator.home = None
-    assert flight.commander.return_to_launch() is Result.TEMPORARILY_REJECTED
+    assert flight.commander.commands.return_to_launch() is Result.TEMPORARILY_REJECTED
     assert flight.commander.mode is modes.AUTO_LOITER
 
 
 def test_reposition(flight):
     target = flight.commander.view.to_global((30.0, 40.0, -20.0))
-    assert flight.commander.reposition(target, math.nan, 3.0) is Result.ACCEPTED
+    assert flight.commander.commands.reposition(target, math.nan, 3.0) is Result.ACCEPTED
     assert goal(flight) == pytest.approx([30.0, 40.0, -20.0], abs=1e-6)
     assert flight.setpoint["goal_yaw"] == pytest.approx(math.atan2(40.0, 30.0))
     assert flight.setpoint["cruise_speed"] == 3.0
@@ -194,7 +194,7 @@ def test_reposition(flight):
 @pytest.mark.parametrize("place", [(math.inf, 8.5, 500.0), (91.0, 8.5, 500.0), (47.0, 8.5, -math.inf)])
 def test_bad_reposition_is_denied(flight, place):
     before = goal(flight)
-    assert flight.commander.reposition(place, math.nan, math.nan) is Result.DENIED
+    assert flight.commander.commands.reposition(place, math.nan, math.nan) is Result.DENIED
     assert goal(flight) == before
 
 
@@ -203,11 +203,11 @@ def test_reposition_on_the_ground():
     flight = Flight()
     flight.commander.request(modes.AUTO_TAKEOFF)
     target = flight.commander.view.to_global((30.0, 40.0, -20.0))
-    assert flight.commander.reposition(target, math.nan, math.nan) is Result.ACCEPTED
+    assert flight.commander.commands.reposition(target, math.nan, math.nan) is Result.ACCEPTED
     assert flight.commander.mode is modes.AUTO_LOITER
     flight.commander.arm_disarm(True)
     assert flight.setpoint["task"] == TASK_IDLE, "forgotten"
-    assert flight.commander.reposition(target, math.nan, math.nan) is Result.ACCEPTED
+    assert flight.commander.commands.reposition(target, math.nan, math.nan) is Result.ACCEPTED
     assert flight.setpoint["task"] == TASK_GOTO
     assert goal(flight) == pytest.approx([30.0, 40.0, -20.0], abs=1e-6)
 
@@ -216,7 +216,7 @@ def repositioned(flight, north, east, up, yaw=math.nan, speed=math.nan):
     """Return goal, heading and speed after a DO_REPOSITION to a local position; NaN leaves values out."""
     latitude, longitude, _ = flight.commander.view.to_global((north, east, 0.0))
     place = (latitude, longitude, ORIGIN[2] + up)
-    assert flight.commander.reposition(place, yaw, speed) is Result.ACCEPTED
+    assert flight.commander.commands.reposition(place, yaw, speed) is Result.ACCEPTED
     return [*goal(flight), float(flight.setpoint["goal_yaw"]), float(flight.setpoint["cruise_speed"])]
 
 
@@ -238,14 +238,14 @@ def test_a_speed_of_one_reposition_is_no_setting(flight):
     """PX4's navigator returns to its cruising speed: the default, or that of DO_CHANGE_SPEED."""
     speeds = [repositioned(flight, 30.0, 0.0, 10.0, speed=speed)[-1] for speed in (2.0, -1.0, 3.0, math.nan, 0.0)]
     assert speeds == pytest.approx([2.0, math.nan, 3.0, math.nan, math.nan], nan_ok=True)
-    flight.commander.change_speed(1, 4.0)
+    flight.commander.commands.change_speed(1, 4.0)
     speeds = [repositioned(flight, 30.0, 0.0, 10.0, speed=speed)[-1] for speed in (2.0, -1.0)]
     assert speeds == [2.0, 4.0]
 
 
 def test_speed_change_lasts_until_a_return(flight):
     """As in PX4's navigator: it survives changes of mode, and rtl.cpp and a disarming reset it."""
-    change = flight.commander.change_speed
+    change = flight.commander.commands.change_speed
     assert change(1, 2.0) is Result.ACCEPTED
     assert flight.setpoint["cruise_speed"] == 2.0, "a ground speed acts at once"
     for mode in (modes.POSCTL, modes.AUTO_LAND, modes.AUTO_LOITER):
@@ -272,7 +272,7 @@ def test_speed_change_lasts_until_a_return(flight):
 
 def test_a_takeoff_ends_at_its_place_and_forgets_it(flight):
     place = flight.commander.view.to_global((6.0, 8.0, 0.0))[:2]
-    assert flight.commander.takeoff(ORIGIN[2] + 25.0, 1.0, place) is Result.ACCEPTED
+    assert flight.commander.commands.takeoff(ORIGIN[2] + 25.0, 1.0, place) is Result.ACCEPTED
     assert goal(flight) == pytest.approx([6.0, 8.0, -25.0], abs=1e-6)
     flight.commander.request(modes.AUTO_TAKEOFF)
     assert goal(flight)[:2] == [0.0, 0.0]
@@ -281,16 +281,16 @@ def test_a_takeoff_ends_at_its_place_and_forgets_it(flight):
 
 def test_speed_change_holds_through_a_reposition(flight):
     """After DO_CHANGE_SPEED to 3 m/s, PX4 v1.14.3 flew to a reposition at 2.91 m/s."""
-    flight.commander.change_speed(1, 3.0)
+    flight.commander.commands.change_speed(1, 3.0)
     place = (ORIGIN[0] + 0.001, ORIGIN[1], ORIGIN[2] + 5.0)
-    assert flight.commander.reposition(place, math.nan, -1.0) is Result.ACCEPTED
+    assert flight.commander.commands.reposition(place, math.nan, -1.0) is Result.ACCEPTED
     assert flight.setpoint["cruise_speed"] == 3.0
 
 
 def test_change_of_altitude_keeps_the_place(flight):
-    assert flight.commander.change_altitude(ORIGIN[2] + 15.0) is Result.ACCEPTED
+    assert flight.commander.commands.change_altitude(ORIGIN[2] + 15.0) is Result.ACCEPTED
     assert goal(flight) == pytest.approx([0.0, 0.0, -15.0])
-    assert flight.commander.change_altitude(math.nan) is Result.ACCEPTED, "at the vehicle's height"
+    assert flight.commander.commands.change_altitude(math.nan) is Result.ACCEPTED, "at the vehicle's height"
     assert goal(flight) == pytest.approx([0.0, 0.0, -10.0])
 
 
@@ -298,7 +298,7 @@ def orbit(flight, *values):
     """Return radius, speed and centre's north after a DO_ORBIT round a place ``north`` of the origin, or NaN."""
     radius, speed, behaviour, north = values
     latitude, longitude, _ = flight.commander.view.to_global((north, 0.0, 0.0))
-    assert flight.commander.orbit(radius, speed, behaviour, (latitude, longitude, math.nan)) is Result.ACCEPTED
+    assert flight.commander.commands.orbit(radius, speed, behaviour, (latitude, longitude, math.nan)) is Result.ACCEPTED
     s = flight.setpoint
     return [float(s["orbit_radius"]), float(s["orbit_speed"]), int(s["orbit_yaw"]), float(s["orbit_centre"][0])]
 
@@ -316,7 +316,7 @@ def test_an_orbit_keeps_its_values_and_the_next_one_takes_none_of_them(flight):
 
 def test_a_vehicle_holds_in_place_of_an_orbit_that_is_too_wide(flight):
     """PX4's flight mode manager replaces the task by its failsafe, which holds."""
-    assert flight.commander.orbit(1001.0, 2.0, 0.0, (*ORIGIN[:2], math.nan)) is Result.ACCEPTED
+    assert flight.commander.commands.orbit(1001.0, 2.0, 0.0, (*ORIGIN[:2], math.nan)) is Result.ACCEPTED
     assert flight.texts() == ["Orbit radius limit exceeded"]
     flight.run(1.0)
     assert flight.commander.mode is modes.ORBIT

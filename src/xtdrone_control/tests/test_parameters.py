@@ -12,14 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot.parameters import former_parameters, inert_parameters
-from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS
-from xtdrone_control.autopilot.parameters.parameter_choices import VOLATILE
+from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.autopilot.parameters.parameters import (
     FLOAT,
     INT32,
     NAMES,
     PARAMS,
+    VOLATILE,
     ParameterError,
     Parameters,
     describe,
@@ -116,21 +115,15 @@ def test_those_without_an_effect_are_stored_and_listed_like_the_others():
     assert describe("MPC_XY_P").has_effect
 
 
-def test_none_is_both_stored_only_and_read():
-    stored_only = [row[0] for row in inert_parameters.rows()]
-    assert len(stored_only) == len(set(stored_only))
-    assert sum(describe(name).has_effect for name in NAMES) == len(NAMES) - len(stored_only)
-
-
 def test_every_parameter_with_an_effect_is_read():
     """Kernels read a field of the record, all other code a name; a replayed flight tests those of kernels."""
     sources = Path(__file__).parents[2]
     files = [*sources.glob("xtdrone_control/src/**/*.py"), *sources.glob("xtdrone_sim/src/**/*.py")]
-    tables = {"effective_parameters.py", "inert_parameters.py", "former_parameters.py", "parameter_choices.py"}
-    text = "\n".join(file.read_text() for file in files if file.name not in tables)
+    text = "\n".join(file.read_text() for file in files)
+    of_kernels = {name for name in NAMES if describe(name).effect == "kernel"}
     fields = set(re.findall(r"\bp\.(\w+)|params\[\"(\w+)\"\]", text))
-    read = {field.upper() for found in fields for field in found} & {row[0] for row in KERNEL_ROWS}
-    read |= set(re.findall(r"\"([A-Z0-9_]+)\"", text)) - {row[0] for row in KERNEL_ROWS}
+    read = {field.upper() for found in fields for field in found} & of_kernels
+    read |= set(re.findall(r"\"([A-Z0-9_]+)\"", text)) - of_kernels
     made = re.compile(  # names put together: by function, sensor or rotor
         r"COM_FLTMODE[1-6]|RC_MAP_(ROLL|PITCH|YAW|THROTTLE)|RC\d+_(MIN|MAX|TRIM|REV|DZ)|CAL_(ACC|GYRO|MAG)\d_\w+"
         r"|CA_ROTOR\d_(P[XYZ]|A[XYZ]|KM|CT)"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control.autopilot.estimator import fusion as fusion
-from xtdrone_control.autopilot.flight_tasks.estimator_resets import follow_resets
+from xtdrone_control.autopilot.flight_tasks.flight_tasks import follow_resets
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR
 
 

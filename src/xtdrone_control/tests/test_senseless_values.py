@@ -21,7 +21,7 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import TASK_GOTO
 from xtdrone_control.geodesy import projection
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.mavlink.wire.codec import message_name
 
 NAN = math.nan

@@ -39,17 +39,18 @@ class Recorder:
         self.view = VehicleView(autopilot, 0)
         self.home = SimpleNamespace(altitude=400.0) if home else None
         self.taken = []
+        self.offboard = self
 
     def offset_start(self, values):
         return self.view.position, self.view.yaw
 
-    def offboard_trajectory(self, position, velocity, acceleration, yaw, yaw_rate):
+    def set_trajectory(self, position, velocity, acceleration, yaw, yaw_rate):
         self.taken.append(("trajectory", position, velocity, acceleration, yaw, yaw_rate))
 
-    def offboard_attitude(self, q, yaw_rate, thrust):
+    def set_attitude(self, q, yaw_rate, thrust):
         self.taken.append(("attitude", tuple(q), yaw_rate, thrust))
 
-    def offboard_rates(self, rates, thrust):
+    def set_rates(self, rates, thrust):
         self.taken.append(("rates", rates, thrust))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control import rotation_kernels as rotation
-from xtdrone_control.autopilot.control import hover_thrust, takeoff
+from xtdrone_control.autopilot.control import hover_thrust, position_control
 from xtdrone_control.autopilot.flight_tasks.tasks import stick_control
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import (
@@ -138,8 +138,8 @@ def test_takeoff_goes_through_its_stages(parts):
     seen = []
     for step in range(500):
         c["armed_time"] = step * 0.012
-        takeoff.update_takeoff(c["takeoff"], c, 1, p, step * 0.012 > 1.5, False)
-        takeoff.update_ramp(c["takeoff"], p, 3.0, 0.012)
+        position_control.update_takeoff(c["takeoff"], c, 1, p, step * 0.012 > 1.5, False)
+        position_control.update_ramp(c["takeoff"], p, 3.0, 0.012)
         c["landing"]["landed"] = 1 if c["takeoff"]["state"] < TAKEOFF_RAMPUP else 0
         if not seen or seen[-1][0] != c["takeoff"]["state"]:
             seen.append((int(c["takeoff"]["state"]), step * 0.012))
@@ -148,22 +148,22 @@ def test_takeoff_goes_through_its_stages(parts):
     times = dict(seen)
     assert times[TAKEOFF_READY] == pytest.approx(p["com_spoolup_time"], abs=0.02)
     assert times[TAKEOFF_FLIGHT] - times[TAKEOFF_RAMPUP] == pytest.approx(p["mpc_tko_ramp_t"], abs=0.03)
-    takeoff.update_takeoff(c["takeoff"], c, 0, p, True, False)
+    position_control.update_takeoff(c["takeoff"], c, 0, p, True, False)
     assert c["takeoff"]["state"] == TAKEOFF_DISARMED
 
 
 def test_ramp_begins_where_no_thrust_is_left(parts):
     c, _, _, p = parts
     c["takeoff"]["state"] = TAKEOFF_RAMPUP
-    takeoff.update_ramp(c["takeoff"], p, 3.0, 0.0)
+    position_control.update_ramp(c["takeoff"], p, 3.0, 0.0)
     start = -GRAVITY / p["mpc_z_vel_p_acc"]
     assert c["takeoff"]["ramp_speed"] == pytest.approx(start, abs=0.02)
     c["takeoff"]["ramp_progress"] = 0.5
-    takeoff.update_ramp(c["takeoff"], p, 3.0, 0.0)
+    position_control.update_ramp(c["takeoff"], p, 3.0, 0.0)
     assert c["takeoff"]["ramp_speed"] == pytest.approx(0.5 * (start + 3.0))
 
 
 def test_nothing_is_ramped_up_where_nothing_controls_the_climb(parts):
     c, _, _, p = parts
-    takeoff.update_takeoff(c["takeoff"], c, 1, p, False, True)
+    position_control.update_takeoff(c["takeoff"], c, 1, p, False, True)
     assert c["takeoff"]["state"] == TAKEOFF_FLIGHT

@@ -24,8 +24,7 @@ from xtdrone_control.autopilot.commander.health_and_arming_checks.failure_detect
 from xtdrone_control.autopilot.commander.manual_control import CENTRED, ManualControl, Sticks
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.parameters.derived_records import DERIVED, DEVICES, SLOTS
-from xtdrone_control.autopilot.parameters.effective_parameters import OTHER_ROWS, numbered_rows
-from xtdrone_control.autopilot.parameters.parameter_choices import CHOICES
+from xtdrone_control.autopilot.parameters.metadata import CHOICES
 from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, PARAMS, Parameters, describe
 
 Probe = Callable[[Parameters], Any]
@@ -234,7 +233,7 @@ def sticks(p: Parameters) -> Any:
     for mode in (modes.POSCTL, modes.AUTO_LOITER, modes.OFFBOARD):
         flight.commander.request(mode)
         found += watched(flight, 6.0, move)
-    flight.commander.orbit(700.0, 2.0, 0.0, (NAN, NAN, NAN))
+    flight.commander.commands.orbit(700.0, 2.0, 0.0, (NAN, NAN, NAN))
     found.append(flight.texts())
     found += watched(flight, 15.0, move)
     for variance in (0.0, 4.0, 9.0, 30.0, 1000.0, 0.0):
@@ -319,7 +318,7 @@ TABLE: dict[Probe, Iterable[str]] = {
         "RC_MAP_ARM_SW", "RC_MAP_FLTMODE", "RC_MAP_KILL_SW", "RC_MAP_LOITER_SW", "RC_MAP_OFFB_SW", "RC_MAP_PITCH",
         "RC_MAP_RETURN_SW", "RC_MAP_ROLL", "RC_MAP_THROTTLE", "RC_MAP_YAW", "RC_OFFB_TH", "RC_RETURN_TH",
     ),
-    channels: [row[0] for row in numbered_rows() if row[0].startswith("RC")],
+    channels: [name for name in NAMES if re.match(r"RC\d", name)],
     precise: (
         "LTEST_MODE", "PLD_BTOUT", "PLD_FAPPR_ALT", "PLD_HACC_RAD", "PLD_MAX_SRCH", "PLD_SRCH_ALT", "PLD_SRCH_TOUT",
     ),
@@ -429,7 +428,7 @@ def test_every_value_acts(probe: Probe) -> None:
 
 def test_every_parameter_has_a_probe_or_a_flight() -> None:
     """A flight's test names its parameter."""
-    names = {row[0] for row in (*OTHER_ROWS, *numbered_rows())}
+    names = {name for name in NAMES if describe(name).effect == "other"}
     probed = [name for found in TABLE.values() for name in found]
     assert len(probed) == len(set(probed))
     assert set(probed) | set(FLOWN) | TELEMETRY == names

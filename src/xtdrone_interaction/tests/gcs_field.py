@@ -14,7 +14,7 @@ from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.control.control_allocator import RotorLayout
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_interaction.gcs import Peer
 

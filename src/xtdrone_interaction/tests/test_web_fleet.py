@@ -23,7 +23,7 @@ from mavros_msgs.msg import Waypoint, WaypointList
 from xtdrone_msgs.msg import SimulationStatus
 
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.settings import SettingError
 from xtdrone_interaction.doctor.findings import Graph, Vehicle
 from xtdrone_interaction.doctor.graph import Master

@@ -16,9 +16,8 @@ import pytest
 
 from xtdrone_control import modes
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot, step_all
-from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS
-from xtdrone_control.autopilot.parameters.parameter_choices import CHOICES
-from xtdrone_control.autopilot.parameters.parameters import INT32, Parameters, describe
+from xtdrone_control.autopilot.parameters.metadata import CHOICES
+from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, Parameters, describe
 from xtdrone_control.autopilot.state import (
     N_STATES,
     OBSTACLE_UNKNOWN,
@@ -155,7 +154,7 @@ def flight() -> Recorder:
     view = commander.view
     commander.parameters.set("MIS_TAKEOFF_ALT", 6.0)
     recorder.run_until(ARMED)
-    assert commander.takeoff(NAN, NAN) == 0
+    assert commander.commands.takeoff(NAN, NAN) == 0
     assert commander.arm_disarm(True) == 0
     recorder.run_until(LEGS)
     assert not view.landed
@@ -205,7 +204,7 @@ def every_case() -> list[Case]:
     """Return a default vehicle for each branch, followed by the vehicles with another value."""
     bases: dict[str, int] = {}
     cases: list[Case] = []
-    for name in ["", *(row[0] for row in KERNEL_ROWS)]:
+    for name in ["", *(name for name in NAMES if describe(name).effect == "kernel")]:
         branch = BRANCHES.get(name, Branch())
         key = repr(branch)
         if key not in bases:

@@ -96,7 +96,7 @@ def _wander(simulation: Simulation) -> list[dict[str, float]]:
             climb, turn = rng.uniform(-1.0, 0.3, FLIGHTS), rng.uniform(-1.0, 1.0, FLIGHTS)
         for i, commander in enumerate(simulation.commanders):
             velocity = (speed[i] * math.cos(course[i]), speed[i] * math.sin(course[i]), climb[i])
-            commander.offboard_trajectory(UNSET, velocity, UNSET, math.nan, turn[i])
+            commander.offboard.set_trajectory(UNSET, velocity, UNSET, math.nan, turn[i])
             if tick == 0:
                 assert commander.request(modes.OFFBOARD) == 0
         simulation.run_until(simulation.time_us + 100_000)

@@ -11,7 +11,6 @@ import pytest
 
 from xtdrone_control import frames, modes
 from xtdrone_control.autopilot.commander.commander import Result
-from xtdrone_control.autopilot.estimator.origin import move_origin
 from xtdrone_control.autopilot.state import (
     FAILURE_GARBAGE,
     FAILURE_OFF,
@@ -24,6 +23,7 @@ from xtdrone_control.autopilot.state import (
     VISION_FRD,
     VISION_NED,
 )
+from xtdrone_control.autopilot.vehicle_view import move_origin
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.streams.telemetry import Telemetry
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
@@ -66,7 +66,7 @@ class Flight:
         end = self.simulation.time_us + round(seconds * 1e6)
         while self.simulation.time_us < end:
             if self.setpoint is not None:
-                self.commander.offboard_trajectory(*self.setpoint)
+                self.commander.offboard.set_trajectory(*self.setpoint)
             if self.vision is not None:
                 self.vision(self)
             self.simulation.run_until(min(self.simulation.time_us + STEP_US, end))
@@ -261,17 +261,18 @@ def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
     for mode in (modes.AUTO_LOITER, modes.AUTO_RTL, modes.AUTO_MISSION):
         assert commander.request(mode) is Result.TEMPORARILY_REJECTED
     assert commander.home is None
-    assert commander.set_home(None) is Result.TEMPORARILY_REJECTED
-    assert commander.set_home((47.0, 8.0, 400.0)) is Result.TEMPORARILY_REJECTED
-    assert commander.reposition((47.0, 8.0, 410.0), math.nan, math.nan) is Result.TEMPORARILY_REJECTED
-    assert commander.change_altitude(410.0) is Result.TEMPORARILY_REJECTED
+    assert commander.commands.set_home(None) is Result.TEMPORARILY_REJECTED
+    assert commander.commands.set_home((47.0, 8.0, 400.0)) is Result.TEMPORARILY_REJECTED
+    assert commander.commands.reposition((47.0, 8.0, 410.0), math.nan, math.nan) is Result.TEMPORARILY_REJECTED
+    assert commander.commands.change_altitude(410.0) is Result.TEMPORARILY_REJECTED
     assert commander.request(modes.AUTO_RTL) is not Result.ACCEPTED
     telemetry = Telemetry(commander, flight.simulation.autopilot, 0)
     telemetry.refresh(flight.simulation.time_us)
-    assert telemetry.local_position_ned() is not None
-    for report in (telemetry.global_position_int, telemetry.home_position, telemetry.gps_global_origin):
+    reports = telemetry.flight
+    assert reports.local_position_ned() is not None
+    for report in (reports.global_position_int, reports.home_position, reports.gps_global_origin):
         assert report() is None
-    (above_sea,) = struct.unpack_from("<f", telemetry.altitude(), 8)
+    (above_sea,) = struct.unpack_from("<f", reports.altitude(), 8)
     assert math.isnan(above_sea)
     flight.hold()
     flight.run(2.0)

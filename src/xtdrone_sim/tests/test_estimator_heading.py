@@ -48,7 +48,7 @@ class Fleet:
     def hold(self, heading: float) -> None:
         """Hold the position and a heading (rad) for 0.2 s."""
         for commander in self.simulation.commanders:
-            commander.offboard_trajectory(UNSET, STILL, UNSET, heading, math.nan)
+            commander.offboard.set_trajectory(UNSET, STILL, UNSET, heading, math.nan)
             if commander.mode is not modes.OFFBOARD:
                 assert commander.request(modes.OFFBOARD) == 0
         self.run(0.2)

@@ -88,7 +88,7 @@ class Sortie:
     def hover_offboard(self) -> None:
         x, y, z = self.commander.view.position
         nan = (math.nan,) * 3
-        self.each = lambda: self.commander.offboard_trajectory((x, y, z), nan, nan, 0.0, math.nan)
+        self.each = lambda: self.commander.offboard.set_trajectory((x, y, z), nan, nan, 0.0, math.nan)
         self.run(0.3)
         assert self.commander.request(modes.OFFBOARD) == 0
         self.run(1.0)
@@ -203,7 +203,7 @@ def test_a_breached_geofence(sortie, action, mode):
     flight.hover_offboard()
     x, y, z = flight.commander.view.position
     nan = (math.nan,) * 3
-    flight.each = lambda: flight.commander.offboard_trajectory((x, y, z - 4.0), nan, nan, 0.0, math.nan)
+    flight.each = lambda: flight.commander.offboard.set_trajectory((x, y, z - 4.0), nan, nan, 0.0, math.nan)
     home = flight.commander.home.position[2]
     flight.until(lambda: home - flight.commander.view.position[2] > 6.0, 10.0)
     if action == 1:
@@ -232,7 +232,7 @@ def _goto(flight, north):
     """Send the vehicle ``north`` metres from its position, by DO_REPOSITION."""
     x, y, z = flight.commander.view.position
     place = flight.commander.view.to_global((x + north, y, z))
-    return flight.commander.reposition(place, math.nan, math.nan)
+    return flight.commander.commands.reposition(place, math.nan, math.nan)
 
 
 @pytest.mark.parametrize("delay", [0.0, 5.0])
@@ -288,7 +288,7 @@ def test_the_attitude_limit(sortie, breaker, action):
     flight.hover_offboard()
     half = math.radians(30.0) / 2
     bank = (math.cos(half), math.sin(half), 0.0, 0.0)
-    flight.each = lambda: flight.commander.offboard_attitude(bank, 0.0, 0.6)
+    flight.each = lambda: flight.commander.offboard.set_attitude(bank, 0.0, 0.6)
     q = flight.simulation.autopilot.estimator["q"][0]
     flight.until(lambda: 2.0 * math.atan2(abs(q[1]), q[0]) > math.radians(20.0), 3.0)
     flight.until(lambda: flight.commander.health.detector.attitude, 2.0)

@@ -35,7 +35,7 @@ class Pilot:
         rows = []
         for _ in range(round(seconds * 1e6 / SAMPLE_US)):
             if self.setpoint is not None:
-                self.commander.offboard_trajectory(*self.setpoint)
+                self.commander.offboard.set_trajectory(*self.setpoint)
             self.simulation.run_until(self.simulation.time_us + SAMPLE_US)
             rows.append(self.position)
         return np.array(rows)
@@ -145,7 +145,7 @@ def test_offboard_loss_ends_in_a_safe_landing():
 def test_lands_at_land_speed_and_disarms():
     pilot = Pilot()
     pilot.take_off()
-    assert pilot.commander.land() == 0
+    assert pilot.commander.commands.land() == 0
     path = -pilot.run(18.0)[:, 2]
     low = (path < 3.0) & (path > 0.5)
     speed = -np.diff(path)[low[1:]].mean() / (SAMPLE_US * 1e-6)
@@ -163,7 +163,7 @@ def test_returns_home():
     pilot.setpoint = (tuple(goal), UNSET, UNSET, math.nan, 0.0)
     pilot.run(12.0)
     pilot.setpoint = None
-    assert pilot.commander.return_to_launch() == 0
+    assert pilot.commander.commands.return_to_launch() == 0
     path = pilot.run(70.0)
     assert -path[:, 2].min() == pytest.approx(12.0, abs=0.6)
     assert np.linalg.norm(path[-1][:2] - home[:2]) < 0.5
@@ -178,7 +178,7 @@ def test_orbit(flying, radius, speed, behaviour):
     heading = flying.view.yaw
     centre = start[:2] + np.array([15.0, 5.0])
     place = flying.view.to_global((*centre, start[2] - 3.0))
-    assert flying.commander.orbit(radius, speed, behaviour, place) == 0
+    assert flying.commander.commands.orbit(radius, speed, behaviour, place) == 0
     flying.run(14.0)
     assert flying.commander.mode is modes.ORBIT
     assert flying.commander.custom_mode == 3 << 16 | 1 << 24

@@ -93,7 +93,7 @@ class Flight:
         self.commander.on_command(203, (0.0,) * 7, (255, 190), None)
         self.commander.parameters.set("MPC_XY_CRUISE", 4.0)
         self.run_until(LANDING_US)
-        self.commander.land()
+        self.commander.commands.land()
         while self.commander.armed:
             self.run_until(self.simulation.time_us + 100_000)
         self.disarmed_us = self.simulation.time_us

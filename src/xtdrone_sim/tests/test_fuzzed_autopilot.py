@@ -20,8 +20,8 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, describe
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, Streams
+from xtdrone_control.mavlink.streams.telemetry import Telemetry
 from xtdrone_sim.simulation import Simulation
 
 CALM, TROUBLED = 0, (1, 2)
@@ -50,7 +50,7 @@ FENCE_COMMANDS = (plan.FENCE_INCLUSION, plan.FENCE_EXCLUSION, plan.FENCE_CIRCLE_
 class Pipe:
     """A client's link that counts sent messages, and its own port."""
 
-    def __init__(self, telemetry: VehicleTelemetry, system_id: int) -> None:
+    def __init__(self, telemetry: Telemetry, system_id: int) -> None:
         self.telemetry = telemetry
         self.streams = Streams(telemetry, GCS_RATES)
         self.sender = (255, 190)
@@ -110,7 +110,7 @@ class Client:
         self.simulation = simulation
         self.commander = simulation.commanders[self.index]
         self.system = self.commander.vehicle.system_id
-        telemetry = VehicleTelemetry(self.commander, simulation.autopilot, self.index)
+        telemetry = Telemetry(self.commander, simulation.autopilot, self.index)
         self.links = [Pipe(telemetry, self.system) for _ in range(2)]
         self.receiver = Receiver(self.commander, simulation.autopilot, self.index, lambda: self.links)
         self.until_us = 0

@@ -10,7 +10,7 @@ import pytest
 
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
+from xtdrone_control.mavlink.streams.telemetry import Telemetry
 from xtdrone_sim.simulation import Simulation
 
 BOOTED_US = 2_000_000
@@ -35,8 +35,8 @@ class Bench:
 
     def turning(self, vehicle=0):
         """Return the numbers, from 1, of the motors that turn according to ESC telemetry."""
-        reports = VehicleTelemetry(self.simulation.commanders[vehicle], self.simulation.autopilot, vehicle)
-        ((_, *speeds, _, _, _, _, _, _, _, _, _),) = reports.esc_status()
+        reports = Telemetry(self.simulation.commanders[vehicle], self.simulation.autopilot, vehicle)
+        ((_, *speeds, _, _, _, _, _, _, _, _, _),) = reports.devices.esc_status()
         return [i for i, speed in enumerate(speeds[:4], 1) if speed > 100]
 
 
@@ -53,14 +53,14 @@ def test_one_motor_turns_on_the_ground_and_stops_in_time(bench):
     bench.run(0.9)
     assert bench.turning() == [2]
     assert bench.turning(1) == []
-    reports = VehicleTelemetry(bench.commander, bench.simulation.autopilot, 0)
-    assert struct.unpack_from("<4H", reports.servo_output_raw(), 4) == (900, 1200, 900, 900)
+    reports = Telemetry(bench.commander, bench.simulation.autopilot, 0)
+    assert struct.unpack_from("<4H", reports.flight.servo_output_raw(), 4) == (900, 1200, 900, 900)
     assert np.abs(bench.simulation.world.plant["position"][0] - before).max() < 0.01
     assert bench.commander.view.landed
     assert not bench.commander.armed
     bench.run(1.1)
     assert bench.turning() == []
-    assert struct.unpack_from("<4H", reports.servo_output_raw(), 4) == (900, 900, 900, 900)
+    assert struct.unpack_from("<4H", reports.flight.servo_output_raw(), 4) == (900, 900, 900, 900)
 
 
 def test_a_test_lasts_three_seconds_at_most(bench):

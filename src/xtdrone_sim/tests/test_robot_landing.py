@@ -45,7 +45,7 @@ class Scene:
             self.simulation.world.bodies.wake(0)
             if rise is not None:
                 east, north, _ = (np.array(self.commander.view.estimator["position"])[[1, 0, 2]] - self.offset).tolist()
-                self.commander.offboard_trajectory(
+                self.commander.offboard.set_trajectory(
                     (north, east, math.nan), (0.0, self.speed, -rise), UNSET, math.nan, 0.0
                 )
             self.simulation.run_until(self.simulation.time_us + STEP_US)

@@ -287,7 +287,7 @@ def test_hexacopter_flies_a_square_and_holds_in_wind(hovering):
         """Return the greatest distance of the truth from ``goal`` (NED, m) in the last second."""
         worst = 0.0
         for tick in range(round(seconds * 50)):
-            commander.offboard_trajectory(tuple(goal), unset, unset, 0.0, math.nan)
+            commander.offboard.set_trajectory(tuple(goal), unset, unset, 0.0, math.nan)
             hovering.run_until(hovering.time_us + 20_000)
             x, y, z = hovering.world.plant["position"][0]
             if tick >= 50 * (seconds - 1):

@@ -1,7 +1,8 @@
 """Rotations by unit quaternions (w, x, y, z) from the body to the local frame, on scalars and tuples.
 
-Functions of plain floats, which ``rotation_kernels`` compiles for the inner loops. For arrays use
-scipy.spatial.transform.Rotation, whose quaternions are (x, y, z, w).
+Functions of plain floats, which ``rotation_kernels`` compiles for the inner loops. The last three are for arrays, shape
+(..., 4), with NaN and quaternions of any length, which logs contain; scipy's Rotation, whose quaternions are
+(x, y, z, w), raises an error there.
 """
 
 from __future__ import annotations
@@ -9,6 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
@@ -112,3 +117,26 @@ def from_axes(x: Vector, y: Vector, z: Vector) -> Quaternion:
     s = math.sqrt(1.0 + z[2] - x[0] - y[1])
     f = 0.5 / s
     return ((x[1] - y[0]) * f, (z[0] + x[2]) * f, (y[2] + z[1]) * f, 0.5 * s)
+
+
+def yaws_of(q: Array) -> Array:
+    """Return the yaw, rad, in [-pi, pi], shape (...)."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    yaw: Array = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return yaw
+
+
+def to_eulers(q: Array) -> tuple[Array, Array, Array]:
+    """Return roll, pitch and yaw, rad, of shape (...); pitch in [-pi/2, pi/2], the others in [-pi, pi]."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    return roll, pitch, yaws_of(q)
+
+
+def rotate_all_inverse(q: Array, vectors: Array) -> Array:
+    """Return local vectors (..., 3) in the body frame of unit quaternions (..., 4)."""
+    w, axis = q[..., :1], -q[..., 1:]
+    twice = 2.0 * np.cross(axis, vectors)
+    turned: Array = vectors + w * twice + np.cross(axis, twice)
+    return turned

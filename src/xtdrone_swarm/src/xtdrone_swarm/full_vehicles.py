@@ -24,7 +24,7 @@ from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_control.mavlink.commands.setpoint_conversion import local_target
 from xtdrone_control.modes import PX4_MODES
-from xtdrone_control.rotation_arrays import yaw_of
+from xtdrone_control.rotation import yaws_of
 from xtdrone_coordination.patterns import origin_columns
 from xtdrone_sim.simulation import Simulation
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
@@ -108,7 +108,7 @@ class CoreVehicles:
         valid = ((estimator["position_valid"] != 0) & (estimator["altitude_valid"] != 0))[:, None]
         self.position = np.where(valid, estimator["position"][:, [1, 0, 2]] * _TO_ENU, np.nan)
         self.velocity = np.where(valid, estimator["velocity"][:, [1, 0, 2]] * _TO_ENU, np.nan)
-        yaw = 0.5 * math.pi - yaw_of(estimator["q"])
+        yaw = 0.5 * math.pi - yaws_of(estimator["q"])
         self.yaw = np.arctan2(np.sin(yaw), np.cos(yaw))
         self.true_position = np.array(self.simulation.world.plant["position"])
         self._armed = [commander.armed for commander in commanders]

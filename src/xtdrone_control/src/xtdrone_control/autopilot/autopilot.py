@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.autopilot.control.attitude_control import attitude_control
+from xtdrone_control.autopilot.control.attitude_and_rate_control import attitude_control, rate_control
 from xtdrone_control.autopilot.control.control_allocator import (
     RotorLayout,
     allocate,
@@ -22,29 +22,17 @@ from xtdrone_control.autopilot.control.control_allocator import (
 )
 from xtdrone_control.autopilot.control.hover_thrust import estimate_hover_thrust, reset_hover_thrust
 from xtdrone_control.autopilot.control.land_detector import detect_landing
-from xtdrone_control.autopilot.control.position_control import (
-    differentiate_velocity,
-    position_loop,
-    start_loops,
-    thrust_to_attitude,
-    use_hover_thrust,
-    velocity_loop,
-)
-from xtdrone_control.autopilot.control.rate_control import rate_control
-from xtdrone_control.autopilot.control.takeoff import update_ramp, update_takeoff
-from xtdrone_control.autopilot.estimator.angular_velocity import update_angular_velocity
+from xtdrone_control.autopilot.control.position_control import control_position, differentiate_velocity, update_takeoff
 from xtdrone_control.autopilot.estimator.ekf import update as update_estimator
-from xtdrone_control.autopilot.estimator.sample_correction import correct_samples
-from xtdrone_control.autopilot.estimator.vibration import update_vibration
-from xtdrone_control.autopilot.flight_tasks.estimator_resets import follow_resets
-from xtdrone_control.autopilot.flight_tasks.flight_tasks import generate_setpoint
+from xtdrone_control.autopilot.flight_tasks.flight_tasks import follow_resets, generate_setpoint
 from xtdrone_control.autopilot.flight_tasks.tasks.stick_control import (
     stick_attitude,
     stick_rates,
     update_throttle_limits,
 )
 from xtdrone_control.autopilot.parameters.parameters import PARAMS
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.autopilot.sensors import correct_samples, update_angular_velocity, update_vibration
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import rotate
 
@@ -57,7 +45,6 @@ from .state import (
     N_STATES,
     SENSORS,
     SETPOINT,
-    TAKEOFF_FLIGHT,
     TAKEOFF_RAMPUP,
     TASK_ACRO,
     TASK_ATTITUDE,
@@ -72,8 +59,6 @@ STEP_US = 4000  # PX4's SITL lockstep period
 TASK_STEPS = 5  # steps per run of the flight task: 50 Hz
 POSITION_STEPS = 3  # steps per run of position control: 83 Hz, the rate of PX4's position estimate
 _MIXER_PERIOD_US = 20_000
-_NO_THRUST = 100.0  # m/s^2 downwards, which leaves no thrust
-_TILT_SLEW = 0.2  # rad/s, slew rate of the tilt limit
 
 
 @kernel
@@ -104,40 +89,6 @@ def _hold_on_ground(c, e):
     _zero_thrust(c)
     for i in range(4):
         c.sp_q[i] = e.q[i]
-
-
-@kernel
-def _suppress_thrust(c):
-    """Replace the setpoint by a large downward acceleration, which gives no thrust; reset the velocity integrator."""
-    for i in range(3):
-        c.sp_position[i] = math.nan
-        c.sp_velocity[i] = math.nan
-        c.velocity_integral[i] = 0.0
-    c.sp_acceleration[0], c.sp_acceleration[1], c.sp_acceleration[2] = 0.0, 0.0, _NO_THRUST
-    c.sp_yaw = math.nan
-    c.sp_yaw_rate = math.nan
-
-
-@kernel
-def _control_position(c, e, p, dt):
-    """Run the position and velocity loops: from the task's setpoint to an attitude and a thrust setpoint."""
-    flying = c.takeoff.state == TAKEOFF_FLIGHT
-    if not flying:
-        c.hover_thrust = p.mpc_thr_hover
-    elif p.mpc_use_hte > 0.5 and c.hover.valid:
-        use_hover_thrust(c, c.hover.estimate)
-    start_loops(c)
-    if not flying:
-        c.sp_acceleration[2] = math.nan  # the takeoff ramp alone lifts the vehicle
-    if c.takeoff.state < TAKEOFF_RAMPUP or (flying and c.landing.ground_contact):
-        _suppress_thrust(c)
-    tilt = math.radians(p.mpc_tiltmax_air if flying else p.mpc_tiltmax_lnd)
-    step = _TILT_SLEW * dt
-    c.tilt_limit += min(max(tilt - c.tilt_limit, -step), step)
-    update_ramp(c.takeoff, p, p.mpc_z_vel_max_up, dt)
-    position_loop(c, e, p, min(c.takeoff.ramp_speed, p.mpc_z_vel_max_up), c.speed_down)
-    velocity_loop(c, e, p, dt, c.tilt_limit, p.mpc_thr_min if flying else 0.0)
-    thrust_to_attitude(c, e)
 
 
 @kernel
@@ -190,7 +141,7 @@ def _run_slow_loops(c, s, e, p, dt, climb_controlled):
     if not s.armed:
         return
     if climb_controlled and s.task != TASK_IDLE:
-        _control_position(c, e, p, slow)
+        control_position(c, e, p, slow)
     if not c.landing.landed:
         estimate_hover_thrust(c.hover, e, p, -c.sp_thrust_vector[2], slow)
 
@@ -284,7 +235,7 @@ class Autopilot:
             ``failed_rotors``, shape (count,), bit i for rotor i.
         time_us: simulated time, microseconds, of the last step.
         logs: log folder of each vehicle; empty without logging.
-    motor_tests: running motor tests by index of the vehicle.
+        motor_tests: running motor tests by index of the vehicle.
     """
 
     def __init__(self, layouts: Sequence[RotorLayout], datum: Datum | None, *, datum_known: bool = False) -> None:
@@ -352,8 +303,8 @@ class Autopilot:
         """Prepare the records of vehicle ``index`` for another vehicle that has not received a sample yet.
 
         Args:
-            index: of the vehicle; its ``params`` are already set.
-            layout: its rotors.
+            index: Index of the vehicle; its ``params`` are already set.
+            layout: Rotors of the vehicle.
         """
         self._layouts[index] = layout
         self.failed_rotors[index] = 0

@@ -224,7 +224,7 @@ RESETS = np.dtype(  # fusion and origin: counters of the resets of each part of 
     align=True,
 )
 
-SHIFTS = np.dtype(  # fusion and origin: change of each part (new minus old) by its last reset
+SHIFTS = np.dtype(  # fusion and move_origin: change of each part (new minus old) by its last reset
     [
         ("xy", "f8", 2),  # m, local
         ("vxy", "f8", 2),  # m/s, local
@@ -235,7 +235,7 @@ SHIFTS = np.dtype(  # fusion and origin: change of each part (new minus old) by 
     align=True,
 )
 
-VIBRATION = np.dtype(  # vibration
+VIBRATION = np.dtype(  # autopilot/sensors
     [
         ("metrics", "f8", 3),  # coning (rad^2), change of rates (rad/s) and of specific force (m/s^2) per sample
         ("last_gyro", "f8", 3),  # rad/s, previous sample
@@ -264,7 +264,7 @@ ESTIMATOR = np.dtype(
         ("accel_bias", "f8", 3),  # m/s^2, body
         ("mag_bias", "f8", 3),  # gauss, body
         ("P", "f8", (N_STATES, N_STATES)),
-        # angular_velocity
+        # autopilot/sensors
         ("rates_memory", "f8", (2, 3)),  # rad/s, of the filter of rates
         ("rates", "f8", 3),  # rad/s, body, bias-corrected and filtered for control
         ("angular_acceleration", "f8", 3),  # rad/s^2, body, filtered
@@ -356,11 +356,7 @@ SETPOINT = np.dtype(
         # TASK_GOTO, TASK_LAND: auto_setpoint; speeds: navigator and mission
         ("goal_position", "f8", 3),  # m, local
         ("goal_yaw", "f8"),  # rad; NaN keeps the heading
-        (
-            "goal_velocity",
-            "f8",
-            2,
-        ),  # m/s, local; of a goal that moves, which flight_tasks/motion_planning/moving_goal.py carries along
+        ("goal_velocity", "f8", 2),  # m/s, local; velocity of a goal, which the flight task carries along
         ("cruise_speed", "f8"),  # m/s horizontal; NaN: MPC_XY_CRUISE
         ("climb_speed", "f8"),  # m/s upwards; NaN: MPC_Z_V_AUTO_UP (takeoff: MPC_TKO_SPEED)
         ("descend_speed", "f8"),  # m/s downwards; NaN: MPC_Z_V_AUTO_DN
@@ -394,7 +390,7 @@ SETPOINT = np.dtype(
 
 # The parts of CONTROL that one module writes.
 
-TAKEOFF = np.dtype(  # takeoff
+TAKEOFF = np.dtype(  # position_control
     [
         ("state", "i4"),  # TAKEOFF_*
         ("ramp_progress", "f8"),  # 0..1, progress of the takeoff ramp
@@ -432,7 +428,7 @@ HOVER = np.dtype(  # hover_thrust
     align=True,
 )
 
-PATH = np.dtype(  # flight_tasks and estimator_resets: smoothed path, see ``jerk_limited_velocity``
+PATH = np.dtype(  # flight_tasks: smoothed path, see ``jerk_limited_velocity``
     [
         ("acceleration", "f8", 3),  # m/s^2, local
         ("position", "f8", 3),  # m, local
@@ -492,17 +488,17 @@ CONTROL = np.dtype(
         ("hover", HOVER),
         ("path", PATH),
         ("followed", FOLLOWED),
-        ("resets_seen", RESETS),  # by estimator_resets: the resets already applied to the smoothed path
+        ("resets_seen", RESETS),  # by flight_tasks: the resets already applied to the smoothed path
         # autopilot
         ("tick", "i8"),  # steps since the start, from which the slower loops are timed
         ("armed_time", "f8"),  # s since arming
-        ("tilt_limit", "f8"),  # rad, slewed between MPC_TILTMAX_LND and MPC_TILTMAX_AIR
+        ("tilt_limit", "f8"),  # rad, by position_control: slewed between MPC_TILTMAX_LND and MPC_TILTMAX_AIR
         # stick_control
         ("throttle_min", "f8"),  # 0..1, minimum thrust by stick, slewed to MPC_MANTHR_MIN in the air
         ("throttle_max", "f8"),  # 0..1, largest thrust by stick, slewed up after arming
         # autopilot and position_control
         ("hover_thrust", "f8"),  # 0..1, thrust in use for 1 g: MPC_THR_HOVER, or the estimate in flight
-        # position_control, rate_control and control_allocator
+        # position_control, attitude_and_rate_control and control_allocator
         ("last_velocity", "f8", 3),  # m/s, local, at the last run of the position loop; NaN after a reset
         ("velocity_dot", "f8", 3),  # m/s^2, local, filtered derivative of velocity
         ("velocity_integral", "f8", 3),  # m/s^2

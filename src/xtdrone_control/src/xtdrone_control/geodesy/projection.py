@@ -1,12 +1,13 @@
-"""Azimuthal equidistant projection of latitude and longitude on a sphere, as in PX4's geo library.
+"""Azimuthal equidistant projection of latitude and longitude on a sphere, as in PX4's geo library, and its origin.
 
-J. P. Snyder, "Map Projections: A Working Manual", USGS 1987, chapter 25. Functions of plain floats, which
-kernels compile.
+J. P. Snyder, "Map Projections: A Working Manual", USGS 1987, chapter 25. The functions are of plain floats, for kernels
+to compile.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 EARTH_RADIUS = 6371000.0  # m, the sphere that PX4 projects from
 GRAVITY = 9.80665  # m/s^2, standard gravity (CONSTANTS_ONE_G of PX4's geo library)
@@ -53,3 +54,21 @@ def reproject(north: float, east: float, origin_latitude: float, origin_longitud
 def is_place(latitude: float, longitude: float, altitude: float) -> bool:
     """Return whether latitude and longitude (degrees) are in range and the altitude is finite."""
     return abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)
+
+
+@dataclass(frozen=True)
+class Datum:
+    """Origin of a local frame (WGS84): latitude and longitude in degrees, altitude in metres AMSL."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+    def place(self, x: float, y: float) -> tuple[float, float]:
+        """Return (latitude, longitude), degrees, of a point ``x``, ``y`` in the local frame, m ENU."""
+        return reproject(y, x, self.latitude, self.longitude)
+
+    def local(self, latitude: float, longitude: float) -> tuple[float, float]:
+        """Return (east, north), m, of a latitude and longitude in degrees."""
+        north, east = project(latitude, longitude, self.latitude, self.longitude)
+        return east, north

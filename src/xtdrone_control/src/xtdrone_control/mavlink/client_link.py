@@ -9,8 +9,9 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_native import mavlink_wire
 
-from xtdrone_control.mavlink.streams.stream_schedule import HEARTBEAT, Payloads, Source, Streams
-from xtdrone_control.mavlink.streams.telemetry import Telemetry, Values
+from xtdrone_control.mavlink.streams.stream_schedule import HEARTBEAT, Payloads, Streams
+from xtdrone_control.mavlink.streams.telemetry import Source, Telemetry
+from xtdrone_control.mavlink.streams.vehicle_state import Values
 from xtdrone_control.mavlink.wire.frame_packing import COMPONENT_ID, Format, PackingError, as_version_1
 
 from .rate_limit import CLIENT_CREDIT, MAX_CLIENT_CREDIT, Credit
@@ -248,37 +249,28 @@ class Link:
         self.streams.send_due(now_us, shared, self._frames, convert, self._report)
 
     def _report(self, text: str) -> None:
-        self.warn("packing", text, self.telemetry.time_us)
+        self.warn("packing", text, self.telemetry.vehicle.time_us)
 
     def _ping(self) -> Values:
         """Return PING, which PX4 sends to measure the round-trip time; the reply is ignored."""
         self._pings += 1
-        return self.telemetry.time_us, self._pings & 0xFFFFFFFF, 0, 0
+        return self.telemetry.vehicle.time_us, self._pings & 0xFFFFFFFF, 0, 0
 
     def _node_status(self) -> Values:
         """Return LINK_NODE_STATUS: counters of this link, and rates since the last message, bytes/s."""
-        now_us = self.telemetry.time_us
+        now_us = self.telemetry.vehicle.time_us
         since, sent, received = self._measured
         self._measured = (now_us, self.sent_bytes, self.received_bytes)
         span = max(now_us - since, 1) * 1e-6
-        rates = [round((now - then) / span) & 0xFFFFFFFF
-                 for now, then in ((self.sent_bytes, sent), (self.received_bytes, received))]  # fmt: skip
-        return (
-            now_us,
-            *rates,
-            self.sent & 0xFFFFFFFF,
-            self.received & 0xFFFFFFFF,
-            0,
-            self.malformed & 0xFFFF,
-            self.lost & 0xFFFF,
-            self.dropped & 0xFFFF,
-            0,
-            0,
-        )
+        bytes_since = self.sent_bytes - sent, self.received_bytes - received
+        rates = [round(count / span) & 0xFFFFFFFF for count in bytes_since]
+        counts = [count & 0xFFFFFFFF for count in (self.sent, self.received)]
+        errors = [count & 0xFFFF for count in (self.malformed, self.lost, self.dropped)]
+        return now_us, *rates, *counts, 0, *errors, 0, 0
 
     def _changed_origin(self) -> Values | None:
         """Return GPS_GLOBAL_ORIGIN if this client does not have it yet, as PX4's stream does."""
-        values = self.telemetry.gps_global_origin()
+        values = self.telemetry.flight.gps_global_origin()
         if values is None or values[:3] == self._origin:
             return None
         self._origin = values[:3]
@@ -286,7 +278,7 @@ class Link:
 
     def _highres_imu(self) -> bytes:
         """Return HIGHRES_IMU, flagging the sensors with a new sample since the last message on this link."""
-        return self.telemetry.records.highres_imu(self._samples)
+        return self.telemetry.vehicle.records.highres_imu(self._samples)
 
     def keep_alive(self, now_us: int) -> None:
         """Send a HEARTBEAT if the last one is older than a second of wall time.

@@ -10,12 +10,12 @@ import select
 import socket
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES, Payloads
+from xtdrone_control.mavlink.streams.telemetry import Telemetry
 
 from .client_link import Address, Link
 from .rate_limit import MAX_CREDIT, STEP_CREDIT, VEHICLE_CREDIT, Credit, DatagramQueues, cost
@@ -50,31 +50,18 @@ class _Vehicle:
         self.index = index
         self.commander = commander
         self._next_due_us: int | None = None
-        telemetry = VehicleTelemetry(commander, autopilot, index)
+        telemetry = Telemetry(commander, autopilot, index)
         ends = (
             ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, _FAST, False),
             ("ground-station", vehicle.gcs_local_port, vehicle.gcs_remote_port, GCS_RATES, _FAST, True),
             ("payload", vehicle.payload_local_port, vehicle.payload_remote_port, PAYLOAD_RATES, _SLOW, False),
         )
+        common: dict[str, Any] = {"limit": limit, "totals": totals, "due_changed": self._due_changed}
         self.ports: list[Port] = []
         try:
             for kind, local, remote, rates, data_rate, by_wall in ends:
-                self.ports.append(
-                    Port(
-                        vehicle,
-                        kind,
-                        local,
-                        remote,
-                        telemetry,
-                        rates,
-                        host,
-                        data_rate=data_rate,
-                        by_wall=by_wall,
-                        limit=limit,
-                        totals=totals,
-                        due_changed=self._due_changed,
-                    )
-                )
+                place = vehicle, kind, local, remote
+                self.ports.append(Port(*place, telemetry, rates, host, data_rate=data_rate, by_wall=by_wall, **common))
         except OSError:
             self.close()
             raise
@@ -104,7 +91,7 @@ class _Vehicle:
         self.commander = commander
         self.receiver = Receiver(commander, autopilot, self.index, self.clients, self._due_changed)
         self._due_changed()
-        telemetry = VehicleTelemetry(commander, autopilot, self.index)
+        telemetry = Telemetry(commander, autopilot, self.index)
         for port in self.ports:
             port.reboot(telemetry, autopilot.time_us)
 

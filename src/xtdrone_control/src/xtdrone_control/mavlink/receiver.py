@@ -10,15 +10,27 @@ from typing import TYPE_CHECKING, Any
 from xtdrone_native.mavlink_wire import split
 
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import silent
+from xtdrone_control.mavlink.client_link import Address, Link
+from xtdrone_control.mavlink.commands.command_service import CommandService, HomeService
+from xtdrone_control.mavlink.commands.external_sensors_service import VisionService
+from xtdrone_control.mavlink.commands.gimbal_service import GimbalService
+from xtdrone_control.mavlink.commands.setpoint_service import FollowService, ManualService, SetpointService
+from xtdrone_control.mavlink.microservices.connection_and_version import (
+    ConnectionService,
+    VersionService,
+)
+from xtdrone_control.mavlink.microservices.event import EventService
+from xtdrone_control.mavlink.microservices.files_and_logs.ftp import FtpService, MetadataService
+from xtdrone_control.mavlink.microservices.files_and_logs.log_download import LogService
+from xtdrone_control.mavlink.microservices.files_and_logs.log_stream import LogStreamService
+from xtdrone_control.mavlink.microservices.mission import MissionService
+from xtdrone_control.mavlink.microservices.parameter import ParameterService
+from xtdrone_control.mavlink.service_base import Handler, Service, Vehicle
+from xtdrone_control.mavlink.streams.telemetry import silent
+from xtdrone_control.mavlink.udp_port_and_clients import Port
 from xtdrone_control.mavlink.wire.codec import decoder, frame_error, version
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.wire.frame_packing import COMPONENT_ID
-
-from .client_link import Address, Link
-from .list_of_services import all_services
-from .service_base import Handler, Service, Vehicle
-from .udp_port_and_clients import Port
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
@@ -181,3 +193,17 @@ class Receiver:
     def release_setpoints(self) -> None:
         """Apply the queued setpoints and home positions in order of arrival."""
         self._vehicle.release_setpoints()
+
+
+_BEFORE_HOME = (SetpointService, FollowService, ManualService, ParameterService, MissionService)
+_AFTER_HOME = (
+    *(LogService, LogStreamService, FtpService, MetadataService),
+    *(VersionService, EventService, VisionService, GimbalService),
+)
+
+
+def all_services(vehicle: Vehicle) -> list[Service]:
+    """Return every service of ``vehicle``."""
+    commands = CommandService(vehicle)
+    first = [ConnectionService(vehicle), commands, *(kind(vehicle) for kind in _BEFORE_HOME)]
+    return [*first, HomeService(vehicle, commands), *(kind(vehicle) for kind in _AFTER_HOME)]

@@ -43,11 +43,7 @@ class Vehicle:
     """
 
     def __init__(
-        self,
-        commander: Commander,
-        autopilot: Autopilot,
-        index: int,
-        clients: Callable[[], list[Link]] = list,
+        self, commander: Commander, autopilot: Autopilot, index: int, clients: Callable[[], list[Link]] = list
     ) -> None:
         """Represent vehicle ``index`` of ``autopilot``."""
         self.commander = commander

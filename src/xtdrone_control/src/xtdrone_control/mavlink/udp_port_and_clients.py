@@ -22,9 +22,8 @@ from dataclasses import dataclass, field
 from xtdrone_native.mavlink_wire import INTERRUPTED, Outbox, receive
 
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import silent
 from xtdrone_control.mavlink.streams.stream_schedule import Payloads
-from xtdrone_control.mavlink.streams.telemetry import Telemetry
+from xtdrone_control.mavlink.streams.telemetry import Telemetry, silent
 
 from .client_link import Address, Link
 

@@ -1,0 +1,1 @@
+"""Files with missions, geofences and rally points: QGroundControl's .plan and waypoint files."""

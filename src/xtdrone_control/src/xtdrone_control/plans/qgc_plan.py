@@ -304,13 +304,7 @@ def _read_simple(entry: _Value) -> tuple[_Value, int | None, PlanItem]:
     x, y, z = _params_position(values) if positioned else [0.0 if math.isnan(value) else value for value in params[4:]]
     jump_id = entry.get("doJumpId").whole(0, 1 << 30) if "doJumpId" in entry.value else None
     item = PlanItem(
-        command,
-        frame,
-        (params[0], params[1], params[2], params[3]),
-        x,
-        y,
-        z,
-        entry.get("autoContinue", True).flag(),
+        command, frame, (params[0], params[1], params[2], params[3]), x, y, z, entry.get("autoContinue", True).flag()
     )
     return entry, jump_id, item
 

@@ -6,7 +6,7 @@ import math
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import Items
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 
 from .planning.coverage_path import Point, Waypoint
 from .planning.plans import waypoint_item

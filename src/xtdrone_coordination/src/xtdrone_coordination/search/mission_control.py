@@ -21,7 +21,7 @@ from shapely.geometry import Polygon
 
 from xtdrone_control.autopilot.navigator.plan import Items
 from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 
 from .conclusion import Conclusion
 from .coverage_map import CoverageMap

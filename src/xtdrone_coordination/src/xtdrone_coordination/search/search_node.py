@@ -48,7 +48,7 @@ from xtdrone_control.autopilot.navigator.plan import Items, PlanItem
 from xtdrone_control.cameras.camera_pose import rotation_matrix
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.communication.setpoint import yaw_of
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.programs.under_roslaunch import end_launch
 

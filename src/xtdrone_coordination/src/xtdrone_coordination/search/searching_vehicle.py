@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from xtdrone_control.autopilot.navigator.plan import Items
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 
 from .assigned_mission import AssignedMission
 from .people.candidates import Candidate, Evidence

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from xtdrone_control import modes
-from xtdrone_control.rotation_arrays import to_euler
+from xtdrone_control.rotation import to_eulers
 from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series, armed_span
 
 NAMELESS = "vehicle"
@@ -293,4 +293,4 @@ def _release(number: int) -> str:
 
 def euler(quaternion: Array) -> Array:
     """Return roll, pitch and yaw, degrees, shape (t, 3), of quaternions (w, x, y, z), shape (t, 4)."""
-    return np.degrees(np.column_stack(to_euler(quaternion)))
+    return np.degrees(np.column_stack(to_eulers(quaternion)))

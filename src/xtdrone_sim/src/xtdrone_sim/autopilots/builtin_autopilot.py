@@ -17,7 +17,7 @@ from xtdrone_control.autopilot.navigator.plan import Plans
 from xtdrone_control.autopilot.parameters.derived_records import geometry_parameters
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_sim.physics.battery_and_motor_currents import Batteries
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel

@@ -28,7 +28,7 @@ from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_sim.autopilots.px4_hil_link import HilLink, Log
 from xtdrone_sim.autopilots.px4_hil_messages import Frames
 from xtdrone_sim.physics.world import World

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.poses import Pose, compose
-from xtdrone_control.rotation_arrays import rotate_inverse
+from xtdrone_control.rotation import rotate_all_inverse
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.casting import PLACE, THING
@@ -78,7 +78,7 @@ class Below:
         looking = np.flatnonzero((reach > 0.0) & (plant["contact"] != ABSENT))
         middles, radii = self._others.spheres(time_us)
         for i in looking.tolist():
-            x, y, z = rotate_inverse(plant["q"][i], middles - plant["position"][i]).T
+            x, y, z = rotate_all_inverse(plant["q"][i], middles - plant["position"][i]).T
             near = (np.hypot(x, y) < radii) & (-z + radii > 0.0) & (-z - radii < reach[i])
             near[i] = False
             if near.any():

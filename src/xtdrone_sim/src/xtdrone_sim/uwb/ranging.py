@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.poses import Pose
-from xtdrone_control.rotation_arrays import rotate_inverse
+from xtdrone_control.rotation import rotate_all_inverse
 from xtdrone_sim.vehicles.mounts.body_sensors import SIGHT_BIASED, SIGHT_NEEDED, UwbMount
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Antenna
 
@@ -79,7 +79,7 @@ def find_neighbours(sensor: Pose, positions: Array, range_max: float) -> Neighbo
     """
     offsets = positions - np.array(sensor.position)
     ranges = np.sqrt(np.sum(offsets * offsets, axis=1))
-    x, y, z = rotate_inverse(np.array(sensor.orientation), offsets).T
+    x, y, z = rotate_all_inverse(np.array(sensor.orientation), offsets).T
     azimuths, elevations = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
     return Neighbours(ranges, azimuths, elevations, np.zeros(len(ranges), bool), ranges <= range_max)
 

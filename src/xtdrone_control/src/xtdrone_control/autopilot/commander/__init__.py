@@ -1,0 +1,1 @@
+"""Arming, flight modes, failsafes and manual control (PX4: commander)."""

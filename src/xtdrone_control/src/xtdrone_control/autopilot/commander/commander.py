@@ -27,10 +27,10 @@ from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, WARNING, Announcements
 from xtdrone_control.autopilot.events.events import Event
 from xtdrone_control.autopilot.navigator import rtl
-from xtdrone_control.autopilot.navigator.navigator import Navigator
+from xtdrone_control.autopilot.navigator.navigator import Home, Navigator
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import FAILURE_OFF, TASK_DESCEND, TASK_IDLE
-from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
+from xtdrone_control.autopilot.vehicle_view import VehicleView
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.modes import Mode
 
@@ -60,7 +60,7 @@ _BY_PILOT = (ArmReason.STICK, ArmReason.SWITCH, ArmReason.BUTTON)
 _REASONS = {"stick": ArmReason.STICK, "switch": ArmReason.SWITCH, "button": ArmReason.BUTTON}
 
 
-class Commander(FlightCommands):
+class Commander:
     """State machine of one vehicle.
 
     Attributes:
@@ -70,6 +70,8 @@ class Commander(FlightCommands):
         navigator: AUTO modes.
         health: health monitoring.
         manual: manual control input.
+        offboard: setpoints of OFFBOARD.
+        commands: flight commands: takeoff, landing, return and others.
         calibration: calibration of the sensors; a vehicle cannot be armed while one runs.
         on_command: listener of received MAV_CMDs, used by the logger; None for no listener. Arguments: number,
             parameters 1 to 7, sender (system, component), MAV_RESULT or None for a command without an acknowledgement.
@@ -100,10 +102,11 @@ class Commander(FlightCommands):
         self.calibration = SensorCalibration(self.view, self._announcements)
         self.navigator = Navigator(self.view, parameters, self._announcements)
         self._home = HomePosition(self.view, self.navigator, get)
-        self.navigator.mission.set_home = self.set_home
+        self.commands = FlightCommands(self, self._home, self._announcements)
+        self.navigator.mission.set_home = self.commands.set_home
         self.manual = ManualControl(get)
-        self._offboard = OffboardSetpoint(self.view)
-        self.health = Health(self.view, get, self.navigator, self._offboard, self.manual, self._announcements)
+        self.offboard = OffboardSetpoint(self.view, self._follows_setpoints, lambda: get("COM_OF_LOSS_T"))
+        self.health = Health(self.view, get, self.navigator, self.offboard, self.manual, self._announcements)
         self._manual_flight = ManualFlight(self.view, get)
         self._failsafe = Failsafe(get, modes.AUTO_LOITER, lambda: parameters.changes)
         self._checks = ArmingChecks(self.view, get)
@@ -176,6 +179,11 @@ class Commander(FlightCommands):
         return self._mode
 
     @property
+    def home(self) -> Home | None:
+        """Home position, None until it is set."""
+        return self.navigator.home
+
+    @property
     def base_mode(self) -> int:
         """HEARTBEAT.base_mode."""
         return self._active_mode.flags | (modes.ARMED_FLAG if self.armed else 0)
@@ -234,7 +242,7 @@ class Commander(FlightCommands):
 
     def arm_disarm(self, arm: bool, force: bool = False) -> Result:
         """Arm or disarm by command; ``force`` skips the checks, even in flight."""
-        done = self._arm(ArmReason.COMMAND, force) if arm else self._disarm_unless_flying(ArmReason.COMMAND, force)
+        done = self.arm(ArmReason.COMMAND, force) if arm else self._disarm_unless_flying(ArmReason.COMMAND, force)
         return Result.ACCEPTED if done else Result.TEMPORARILY_REJECTED
 
     def arming_denial(self) -> str:
@@ -247,7 +255,7 @@ class Commander(FlightCommands):
         flags = self.health.evaluate(mode, self.armed)
         return self._checks.report(flags, mode, self.armed).reason(mode)
 
-    def _arm(self, reason: ArmReason, force: bool = False) -> bool:
+    def arm(self, reason: ArmReason, force: bool = False) -> bool:
         """Arm if the checks allow it; return whether the vehicle is armed."""
         if self.armed:
             return True
@@ -493,7 +501,7 @@ class Commander(FlightCommands):
 
     def _start_mode_task(self, mode: Mode) -> None:
         if mode is modes.OFFBOARD:
-            self._offboard.write()
+            self.offboard.write()
         elif mode is modes.TERMINATION:
             self.view.start_task(TASK_IDLE)
         elif mode.sticks:
@@ -543,7 +551,7 @@ class Commander(FlightCommands):
             return
         reason = _REASONS[request.origin]
         if request.action == "arm" or (request.action == "toggle" and not self.armed):
-            self._arm(reason)
+            self.arm(reason)
         else:
             self._disarm_unless_flying(reason)
 
@@ -574,59 +582,8 @@ class Commander(FlightCommands):
             self._announcements.tell(INFO, "Pilot took over using sticks", "commander_rc_override")
         return False
 
-    # OFFBOARD setpoints
-
-    def offboard_trajectory(
-        self, position: Vector, velocity: Vector, acceleration: Vector, yaw: float, yaw_rate: float
-    ) -> None:
-        """Process an OFFBOARD trajectory setpoint: local NED, NaN leaves a value uncontrolled.
-
-        It feeds the setpoint watchdog in every mode and is followed in OFFBOARD only.
-
-        Raises:
-            SetpointError: see ``OffboardSetpoint.set_trajectory``.
-        """
-        self._offboard.set_trajectory(position, velocity, acceleration, yaw, yaw_rate)
-        self._apply_offboard_setpoint()
-
-    def offset_start(self, values: Sequence[float]) -> tuple[Vector, float]:
-        """Return the position (m, local NED) and heading (rad) to which a vehicle-relative setpoint refers.
-
-        A pause longer than COM_OF_LOSS_T ends its command; see ``CommandStart``.
-        """
-        return self._offboard.offset_start(
-            values, self.parameters.get("COM_OF_LOSS_T"), flown=self._follows_setpoints()
-        )
-
-    def offboard_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
-        """Process an OFFBOARD attitude setpoint.
-
-        Raises:
-            SetpointError: see ``OffboardSetpoint.set_attitude``.
-        """
-        self._offboard.set_attitude(attitude, yaw_rate, thrust)
-        self._apply_offboard_setpoint()
-
-    def offboard_rates(self, rates: Sequence[float], thrust: float) -> None:
-        """Process an OFFBOARD body-rate setpoint.
-
-        Raises:
-            SetpointError: see ``OffboardSetpoint.set_rates``.
-        """
-        self._offboard.set_rates(rates, thrust)
-        self._apply_offboard_setpoint()
-
-    @property
-    def offboard_incomplete(self) -> bool:
-        """Whether the last setpoint leaves an axis uncontrolled, so that the vehicle stops and holds instead."""
-        return self._offboard.incomplete
-
     def _follows_setpoints(self) -> bool:
         return self.armed and self._active_mode is modes.OFFBOARD
-
-    def _apply_offboard_setpoint(self) -> None:
-        if self._follows_setpoints():
-            self._offboard.write()
 
     def gcs_heartbeat(self) -> None:
         """Record a heartbeat from a ground station."""

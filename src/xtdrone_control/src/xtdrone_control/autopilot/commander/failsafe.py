@@ -158,13 +158,7 @@ _GEOFENCE_ACTIONS = {
     4: _TERMINATE,
     5: _LAND,
 }
-_MOTOR_ACTIONS = {
-    0: _WARN,
-    1: Option(Action.HOLD),
-    2: _LAND,
-    3: _RETURN,
-    4: Option(Action.TERMINATE, Clear.NEVER),
-}
+_MOTOR_ACTIONS = {0: _WARN, 1: Option(Action.HOLD), 2: _LAND, 3: _RETURN, 4: Option(Action.TERMINATE, Clear.NEVER)}
 _OFFBOARD_ACTIONS: dict[int, tuple[Action, Mode]] = {
     0: (Action.POSCTL, modes.POSCTL),
     1: (Action.ALTCTL, modes.ALTCTL),

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import enum
 import math
-from abc import ABC, abstractmethod
+from typing import Protocol
 
 from xtdrone_control import modes
 from xtdrone_control.autopilot.commander.home_position import HomePosition
 from xtdrone_control.autopilot.commander.motors import ArmReason
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, Announcements
-from xtdrone_control.autopilot.navigator.navigator import Goal, Home, Navigator
+from xtdrone_control.autopilot.navigator.navigator import Goal, Navigator
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
 from xtdrone_control.geodesy import projection
 from xtdrone_control.modes import Mode
@@ -28,38 +28,33 @@ class Result(enum.IntEnum):
     IN_PROGRESS = 5
 
 
-class FlightCommands(ABC):
-    """Flight commands of one vehicle, implemented as mode changes.
-
-    Attributes:
-        view: access to the vehicle's autopilot records.
-        navigator: AUTO modes.
-        armed: whether the vehicle is armed.
-    """
+class CommandedVehicle(Protocol):
+    """What flight commands need of the commander; see ``commander.Commander``."""
 
     view: VehicleView
     navigator: Navigator
     armed: bool
-    _announcements: Announcements
-    _home: HomePosition
 
     @property
-    @abstractmethod
     def mode(self) -> Mode:
         """Active mode."""
 
-    @abstractmethod
     def request(self, mode: Mode) -> Result:
         """Switch to a mode if possible."""
 
-    @abstractmethod
-    def _arm(self, reason: ArmReason, force: bool = False) -> bool:
+    def arm(self, reason: ArmReason) -> bool:
         """Arm if the checks allow it; return whether the vehicle is armed."""
 
-    @property
-    def home(self) -> Home | None:
-        """Home position, None until it is set."""
-        return self.navigator.home
+
+class FlightCommands:
+    """Flight commands of one vehicle, implemented as mode changes."""
+
+    def __init__(self, commander: CommandedVehicle, home: HomePosition, announcements: Announcements) -> None:
+        """Command the vehicle of ``commander``."""
+        self._commander = commander
+        self._view, self._navigator = commander.view, commander.navigator
+        self._home = home
+        self._announcements = announcements
 
     def takeoff(self, altitude: float, yaw: float, place: tuple[float, float] = (math.nan, math.nan)) -> Result:
         """Take off in AUTO.TAKEOFF; the values apply to the next takeoff only.
@@ -72,10 +67,10 @@ class FlightCommands(ABC):
         given = [value for value in place if not math.isnan(value)]
         if math.isinf(altitude) or math.isinf(yaw) or (len(given) > 1 and not projection.is_place(*place, 0.0)):
             return Result.DENIED
-        self.navigator.takeoff_altitude = altitude
-        self.navigator.takeoff_yaw = yaw
-        self.navigator.takeoff_place = place
-        return self.request(modes.AUTO_TAKEOFF)
+        self._navigator.takeoff_altitude = altitude
+        self._navigator.takeoff_yaw = yaw
+        self._navigator.takeoff_place = place
+        return self._commander.request(modes.AUTO_TAKEOFF)
 
     def land(self) -> Result:
         """Land in AUTO.LAND."""
@@ -95,21 +90,21 @@ class FlightCommands(ABC):
         Args:
             first: index of the item to start with; -1 for the current one.
         """
-        if self.navigator.mission_denial():
+        if self._navigator.mission_denial():
             text = "Mission start denied! No valid mission"
             self._announcements.tell(CRITICAL, text, "commander_mission_start_denied_no_mission")
             return Result.DENIED
-        if not -1.0 <= first < len(self.navigator.plans.mission):
+        if not -1.0 <= first < len(self._navigator.plans.mission):
             return Result.DENIED
         if first >= 0.0:
-            self.navigator.set_current(int(first))
-        if self.request(modes.AUTO_MISSION) is Result.ACCEPTED and self._arm(ArmReason.MISSION):
+            self._navigator.set_current(int(first))
+        if self._commander.request(modes.AUTO_MISSION) is Result.ACCEPTED and self._commander.arm(ArmReason.MISSION):
             return Result.ACCEPTED
         self._announcements.mode_refused(modes.AUTO_MISSION)
         return Result.TEMPORARILY_REJECTED
 
     def _go(self, mode: Mode, text: str, name: str) -> Result:
-        result = self.request(mode)
+        result = self._commander.request(mode)
         if result is Result.ACCEPTED:
             self._announcements.tell(INFO, text, name)
         return result
@@ -126,7 +121,7 @@ class FlightCommands(ABC):
         if location is None:
             done = self._home.set_here(force=True)
         else:
-            done = self._home.set_manually(location, self.view.yaw if yaw is None else yaw)
+            done = self._home.set_manually(location, self._view.yaw if yaw is None else yaw)
         return Result.ACCEPTED if done else Result.TEMPORARILY_REJECTED
 
     def reposition(self, location: Vector, yaw: float, speed: float) -> Result:
@@ -143,42 +138,44 @@ class FlightCommands(ABC):
         known = [0.0 if math.isnan(value) else value for value in location]
         if not projection.is_place(*known) or math.isinf(yaw) or math.isinf(speed):
             return Result.DENIED
-        goal = self.navigator.goal_before_a_pause()
+        goal = self._navigator.goal_before_a_pause()
         if not self._hold_to_fly():
             return Result.TEMPORARILY_REJECTED
-        if self.armed and self.mode is modes.AUTO_LOITER:  # otherwise disarmed, or a failsafe overrides the mode
+        if (
+            self._commander.armed and self._commander.mode is modes.AUTO_LOITER
+        ):  # otherwise disarmed, or a failsafe overrides the mode
             self._fly_to(location, yaw, speed, goal)
         return Result.ACCEPTED
 
     def _hold_to_fly(self) -> bool:
         """Switch to AUTO.LOITER for a goal in global coordinates; return whether that was possible."""
-        if self.armed and not self.view.has_origin:
+        if self._commander.armed and not self._view.has_origin:
             self._announcements.mode_refused(modes.AUTO_LOITER)
             return False
-        return self.request(modes.AUTO_LOITER) is Result.ACCEPTED
+        return self._commander.request(modes.AUTO_LOITER) is Result.ACCEPTED
 
     def _fly_to(self, location: Vector, yaw: float, speed: float, goal: Goal) -> None:
         latitude, longitude, altitude = location
         has_place = not math.isnan(latitude) and not math.isnan(longitude)
-        z = self.view.position[2] if math.isnan(altitude) else self.view.origin[2] - altitude
+        z = self._view.position[2] if math.isnan(altitude) else self._view.origin[2] - altitude
         if not has_place and math.isnan(altitude) and math.isnan(yaw):
-            self.navigator.pause(goal)
+            self._navigator.pause(goal)
             return
-        position = (*(self.view.to_local(latitude, longitude, 0.0)[:2] if has_place else goal.place), z)
-        if has_place and self.navigator.geofence_forbids(position):  # PX4 accepts the command before this check
+        position = (*(self._view.to_local(latitude, longitude, 0.0)[:2] if has_place else goal.place), z)
+        if has_place and self._navigator.geofence_forbids(position):  # PX4 accepts the command before this check
             text = "Reposition is outside geofence"
             self._announcements.tell(CRITICAL, text, "navigator_reposition_outside_geofence", level=events.ERROR)
             return
-        self.navigator.reposition(position, yaw, speed if speed > 0.0 else math.nan)
+        self._navigator.reposition(position, yaw, speed if speed > 0.0 else math.nan)
 
     def orbit(self, radius: float, speed: float, yaw_behaviour: float, location: Vector) -> Result:
         """Fly a circle in ORBIT; see :meth:`.orbit.Orbit.command` for the arguments."""
         if any(math.isinf(value) for value in (radius, speed, yaw_behaviour, *location)):
             return Result.DENIED
-        if self.mode is not modes.ORBIT:
-            self.navigator.orbit.forget()
-        self.navigator.orbit.command(radius, speed, yaw_behaviour, location)
-        result = self.request(modes.ORBIT)
+        if self._commander.mode is not modes.ORBIT:
+            self._navigator.orbit.forget()
+        self._navigator.orbit.command(radius, speed, yaw_behaviour, location)
+        result = self._commander.request(modes.ORBIT)
         if result is not Result.ACCEPTED:
             self._announcements.say(CRITICAL, "Orbit command rejected")
         return result
@@ -190,14 +187,14 @@ class FlightCommands(ABC):
         """
         if math.isinf(altitude):
             return Result.DENIED
-        goal = self.navigator.goal_before_a_pause()
+        goal = self._navigator.goal_before_a_pause()
         if not self._hold_to_fly():
             return Result.TEMPORARILY_REJECTED
-        if self.armed and self.mode is modes.AUTO_LOITER:
-            self.navigator.pause(goal, self.view.origin[2] - altitude)
+        if self._commander.armed and self._commander.mode is modes.AUTO_LOITER:
+            self._navigator.pause(goal, self._view.origin[2] - altitude)
         return Result.ACCEPTED
 
     def change_speed(self, kind: float, speed: float) -> Result:
         """Set the horizontal speed of AUTO modes, see ``Navigator.change_speed``; PX4 accepts any values."""
-        self.navigator.change_speed(kind, speed)
+        self._navigator.change_speed(kind, speed)
         return Result.ACCEPTED

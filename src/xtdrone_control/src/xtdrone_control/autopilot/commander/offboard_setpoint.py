@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
@@ -73,13 +73,23 @@ def _equal(a: Sequence[float], b: Sequence[float]) -> bool:
 class OffboardSetpoint:
     """Last setpoint of the OFFBOARD stream and watchdog of the stream.
 
+    A setpoint feeds the watchdog in every mode, and is written to the control cascade while the vehicle follows it.
+
     Attributes:
         incomplete: the last setpoint leaves an axis uncontrolled, so that the vehicle stops and holds instead.
     """
 
-    def __init__(self, view: VehicleView) -> None:
-        """Start without a setpoint."""
+    def __init__(self, view: VehicleView, follows: Callable[[], bool], loss_time: Callable[[], float]) -> None:
+        """Start without a setpoint.
+
+        Args:
+            view: Access to the vehicle's autopilot records.
+            follows: Function that returns whether the vehicle is armed in OFFBOARD.
+            loss_time: Function that returns COM_OF_LOSS_T, s, the pause that ends the stream.
+        """
         self._view = view
+        self._follows = follows
+        self._loss_time = loss_time
         self._last_us = _NEVER_US
         self._previous_us = _NEVER_US
         self._task = TASK_TRAJECTORY
@@ -102,17 +112,16 @@ class OffboardSetpoint:
         """Return whether the last setpoint and the one before it each arrived within ``limit`` seconds."""
         return self.fresh(limit) and self._last_us - self._previous_us <= limit * 1e6
 
-    def offset_start(self, values: Sequence[float], limit: float, *, flown: bool) -> tuple[Vector, float]:
+    def offset_start(self, values: Sequence[float]) -> tuple[Vector, float]:
         """Return the position (m, local NED) and heading (rad) to which a vehicle-relative setpoint refers.
 
         Call it before the setpoint is stored. See ``CommandStart``.
 
         Args:
-            values: the setpoint, relative to the vehicle.
-            limit: pause that ends the stream, s.
-            flown: whether the vehicle is following setpoints now.
+            values: Setpoint relative to the vehicle.
         """
-        repeated = flown and self.fresh(limit) and self._count == self._count_after_offset
+        continues = self._follows() and self.fresh(self._loss_time())
+        repeated = continues and self._count == self._count_after_offset
         self._count_after_offset = self._count + 1
         return self._offset_start.update(values, (self._view.position, self._view.yaw), repeated=repeated)
 
@@ -145,8 +154,7 @@ class OffboardSetpoint:
         incomplete = not _can_be_flown(given)
         values = [value if finite else _NAN for value, finite in zip(sent, given, strict=True)]
         trajectory = [*values, _finite(yaw), _finite(yaw_rate)]
-        self._store(TASK_TRAJECTORY, trajectory=_HOLD if incomplete else trajectory)
-        self.incomplete = incomplete
+        self._store(TASK_TRAJECTORY, incomplete, trajectory=_HOLD if incomplete else trajectory)
 
     def set_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
         """Store an attitude setpoint.
@@ -174,13 +182,15 @@ class OffboardSetpoint:
         """
         self._store(TASK_RATES, rates=tuple(map(_finite, rates)), thrust=_collective(thrust))
 
-    def _store(self, task: int, **fields: Sequence[float] | float) -> None:
+    def _store(self, task: int, incomplete: bool = False, **fields: Sequence[float] | float) -> None:
         self._task = task
         self._count += 1
-        self.incomplete = False
+        self.incomplete = incomplete
         self._fields = fields
         self._previous_us = self._last_us
         self._last_us = self._view.time_us
+        if self._follows():
+            self.write()
 
     def write(self) -> None:
         """Write the last setpoint to the control cascade."""

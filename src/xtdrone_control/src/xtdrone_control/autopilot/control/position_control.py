@@ -1,18 +1,73 @@
-"""Position and velocity control: setpoints in the local frame to a thrust vector and an attitude.
+"""Position and velocity control, and takeoff: setpoints in the local frame to a thrust vector and an attitude.
 
-The cascade of PX4 v1.14's mc_pos_control/PositionControl: P on position to a velocity, PID on
-velocity to an acceleration, acceleration to a thrust vector within tilt and thrust limits, thrust vector and yaw to an
-attitude.
+The cascade of PX4 v1.14's mc_pos_control/PositionControl: P on position to a velocity, PID on velocity to an
+acceleration, acceleration to a thrust vector within tilt and thrust limits, thrust vector and yaw to an attitude. A
+takeoff (mc_pos_control/Takeoff) is a spool-up, a ramp of the upward speed limit, and flight.
 """
 
 from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.low_pass_filters import first_order_gain
+from xtdrone_control.autopilot.sensors import first_order_gain
+from xtdrone_control.autopilot.state import (
+    TAKEOFF_DISARMED,
+    TAKEOFF_FLIGHT,
+    TAKEOFF_RAMPUP,
+    TAKEOFF_READY,
+    TAKEOFF_SPOOLUP,
+)
 from xtdrone_control.geodesy.projection import GRAVITY
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain, from_axes, yaw_of
+
+_NO_THRUST = 100.0  # m/s^2 downwards, which leaves no thrust
+_TILT_SLEW = 0.2  # rad/s, slew rate of the tilt limit
+
+
+@kernel
+def update_takeoff(takeoff, c, armed, p, wants_takeoff, skip):
+    """Update takeoff.state.
+
+    Args:
+        takeoff: ``TAKEOFF`` record.
+        c: ``CONTROL`` record, read only.
+        armed: whether the vehicle is armed.
+        p: ``PARAMS`` record.
+        wants_takeoff: whether the setpoint leads off the ground.
+        skip: whether to skip the ramp, as the pilot sets the thrust directly.
+    """
+    if not armed:
+        takeoff.state = TAKEOFF_DISARMED
+        return
+    if skip:
+        takeoff.state = TAKEOFF_FLIGHT
+        return
+    if takeoff.state == TAKEOFF_DISARMED:
+        takeoff.state = TAKEOFF_SPOOLUP if c.landing.landed else TAKEOFF_FLIGHT
+    if takeoff.state == TAKEOFF_SPOOLUP and c.armed_time >= p.com_spoolup_time:
+        takeoff.state = TAKEOFF_READY
+    if takeoff.state == TAKEOFF_READY and wants_takeoff:
+        takeoff.state = TAKEOFF_RAMPUP
+        takeoff.ramp_progress = 0.0
+    if takeoff.state == TAKEOFF_RAMPUP and takeoff.ramp_progress >= 1.0:
+        takeoff.state = TAKEOFF_FLIGHT
+    if takeoff.state == TAKEOFF_FLIGHT and c.landing.landed:
+        takeoff.state = TAKEOFF_READY
+
+
+@kernel
+def update_ramp(takeoff, p, speed_up, dt):
+    """Update takeoff.ramp_speed, the upward speed limit (m/s), which rises to ``speed_up`` within MPC_TKO_RAMP_T."""
+    # start at the downward speed whose error cancels the hover thrust, so that thrust rises from zero
+    start = -GRAVITY / max(p.mpc_z_vel_p_acc, 0.01)
+    takeoff.ramp_speed = speed_up
+    if takeoff.state < TAKEOFF_RAMPUP:
+        takeoff.ramp_speed = start
+    elif takeoff.state == TAKEOFF_RAMPUP:
+        takeoff.ramp_progress = takeoff.ramp_progress + dt / p.mpc_tko_ramp_t if p.mpc_tko_ramp_t > dt else 1.0
+        if takeoff.ramp_progress < 1.0:
+            takeoff.ramp_speed = start + takeoff.ramp_progress * (speed_up - start)
 
 
 @kernel
@@ -93,19 +148,9 @@ def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
     """
     integral = c.velocity_integral
     thrust_min, thrust_max = max(thrust_min, 1e-3), p.mpc_thr_max  # a zero vector would leave the attitude undefined
-    error_x = c.sp_velocity[0] - e.velocity[0]
-    error_y = c.sp_velocity[1] - e.velocity[1]
-    error_z = c.sp_velocity[2] - e.velocity[2]
-    accel_x = error_x * p.mpc_xy_vel_p_acc + integral[0] - c.velocity_dot[0] * p.mpc_xy_vel_d_acc
-    accel_y = error_y * p.mpc_xy_vel_p_acc + integral[1] - c.velocity_dot[1] * p.mpc_xy_vel_d_acc
-    accel_z = error_z * p.mpc_z_vel_p_acc + integral[2] - c.velocity_dot[2] * p.mpc_z_vel_d_acc
-    c.sp_acceleration[0] = _add_ignoring_nan(c.sp_acceleration[0], accel_x)
-    c.sp_acceleration[1] = _add_ignoring_nan(c.sp_acceleration[1], accel_y)
-    c.sp_acceleration[2] = _add_ignoring_nan(c.sp_acceleration[2], accel_z)
-    error_x = 0.0 if math.isnan(error_x) else error_x
-    error_y = 0.0 if math.isnan(error_y) else error_y
-    error_z = 0.0 if math.isnan(error_z) else error_z
-
+    error_x = _track_velocity(c, e, 0, p.mpc_xy_vel_p_acc, p.mpc_xy_vel_d_acc)
+    error_y = _track_velocity(c, e, 1, p.mpc_xy_vel_p_acc, p.mpc_xy_vel_d_acc)
+    error_z = _track_velocity(c, e, 2, p.mpc_z_vel_p_acc, p.mpc_z_vel_d_acc)
     _acceleration_to_thrust(c, tilt_max, thrust_min)
     thrust = c.sp_thrust_vector
 
@@ -124,6 +169,7 @@ def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
         thrust[1] *= horizontal_limit / horizontal
 
     # horizontal tracking anti-windup: feed back the acceleration that was not produced
+    # (L. Rundqwist, "Anti-reset windup for PID controllers", IFAC 1990)
     produced_x = thrust[0] * GRAVITY / c.hover_thrust
     produced_y = thrust[1] * GRAVITY / c.hover_thrust
     wanted = math.hypot(c.sp_acceleration[0], c.sp_acceleration[1])
@@ -136,6 +182,15 @@ def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
     integral[0] += error_x * p.mpc_xy_vel_i_acc * dt
     integral[1] += error_y * p.mpc_xy_vel_i_acc * dt
     integral[2] = constrain(integral[2] + error_z * p.mpc_z_vel_i_acc * dt, -GRAVITY, GRAVITY)
+
+
+@kernel
+def _track_velocity(c, e, i, gain_p, gain_d):
+    """Add the feedback of axis ``i`` to c.sp_acceleration; return its velocity error, 0 where it is not controlled."""
+    error = c.sp_velocity[i] - e.velocity[i]
+    acceleration = error * gain_p + c.velocity_integral[i] - c.velocity_dot[i] * gain_d
+    c.sp_acceleration[i] = _add_ignoring_nan(c.sp_acceleration[i], acceleration)
+    return 0.0 if math.isnan(error) else error
 
 
 @kernel
@@ -198,3 +253,40 @@ def use_hover_thrust(c, estimate):
         return
     c.hover_thrust = estimate
     c.velocity_integral[2] += (c.sp_acceleration[2] - GRAVITY) * before / estimate + GRAVITY - c.sp_acceleration[2]
+
+
+@kernel
+def _suppress_thrust(c):
+    """Replace the setpoint by a large downward acceleration, which gives no thrust; reset the velocity integrator."""
+    for i in range(3):
+        c.sp_position[i] = math.nan
+        c.sp_velocity[i] = math.nan
+        c.velocity_integral[i] = 0.0
+    c.sp_acceleration[0], c.sp_acceleration[1], c.sp_acceleration[2] = 0.0, 0.0, _NO_THRUST
+    c.sp_yaw = math.nan
+    c.sp_yaw_rate = math.nan
+
+
+@kernel
+def control_position(c, e, p, dt):
+    """Run the position and velocity loops: from the task's setpoint to an attitude and a thrust setpoint.
+
+    The tilt is limited by MPC_TILTMAX_AIR in flight and by MPC_TILTMAX_LND before.
+    """
+    flying = c.takeoff.state == TAKEOFF_FLIGHT
+    if not flying:
+        c.hover_thrust = p.mpc_thr_hover
+    elif p.mpc_use_hte > 0.5 and c.hover.valid:
+        use_hover_thrust(c, c.hover.estimate)
+    start_loops(c)
+    if not flying:
+        c.sp_acceleration[2] = math.nan  # the takeoff ramp alone lifts the vehicle
+    if c.takeoff.state < TAKEOFF_RAMPUP or (flying and c.landing.ground_contact):
+        _suppress_thrust(c)
+    tilt = math.radians(p.mpc_tiltmax_air if flying else p.mpc_tiltmax_lnd)
+    step = _TILT_SLEW * dt
+    c.tilt_limit += min(max(tilt - c.tilt_limit, -step), step)
+    update_ramp(c.takeoff, p, p.mpc_z_vel_max_up, dt)
+    position_loop(c, e, p, min(c.takeoff.ramp_speed, p.mpc_z_vel_max_up), c.speed_down)
+    velocity_loop(c, e, p, dt, c.tilt_limit, p.mpc_thr_min if flying else 0.0)
+    thrust_to_attitude(c, e)

@@ -5,7 +5,8 @@ state is the 18-vector ``(dtheta, dv, dp, dbg, dba, dbm)`` with dtheta a rotatio
 q_true = q * exp(dtheta) (J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, chapters 5 and 6).
 The nominal state is propagated with every IMU sample, the covariance every ``COVARIANCE_PERIOD`` with the accumulated
 increments, as in PX4's EKF2. Measurements are fused sequentially as scalars, each with an innovation gate: ``fusion``
-has the measurement updates, the modules of ``aiding`` select the sensors to fuse.
+has the measurement updates. Each source's module in ``aiding`` starts and stops its fusion, checks its samples, and
+resets the state to it after a long rejection; ``source_timeouts`` stops sources that are silent.
 
 Parameters have the names and meaning of PX4 v1.14's EKF2. Differences: measurements are fused on arrival, extrapolated
 over EKF2_*_DELAY beyond the defaults, by which the simulated sensors are late; the state is that of the body's origin,
@@ -18,7 +19,12 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.fresh_samples import fuse_sources, update_imu_time
+from xtdrone_control.autopilot.estimator.aiding.sources.external_vision_control import process_vision
+from xtdrone_control.autopilot.estimator.aiding.sources.flow_control import process_flow
+from xtdrone_control.autopilot.estimator.aiding.sources.gps_control import process_gps
+from xtdrone_control.autopilot.estimator.aiding.sources.height_control import process_baro
+from xtdrone_control.autopilot.estimator.aiding.sources.mag_control import process_mag
+from xtdrone_control.autopilot.estimator.aiding.sources.range_control import process_range
 from xtdrone_control.autopilot.estimator.aiding.validity_and_status_flags import update_status
 from xtdrone_control.autopilot.estimator.fusion import BA, BG, BM, POS, THETA, VEL, YAW_UNKNOWN_STD, set_yaw_variance
 from xtdrone_control.autopilot.state import N_STATES
@@ -278,7 +284,8 @@ def update(e, s, p, dt, work):
         dt: time since the last IMU sample, s.
         work: (2, N_STATES) scratch.
     """
-    if update_imu_time(e, s):
+    if not s.imu_missing:
+        e.time_imu_us = s.time_us
         if e.initialised:
             propagate(e, s, p, dt)
             if e.increments.time >= COVARIANCE_PERIOD - 1e-9:
@@ -286,7 +293,28 @@ def update(e, s, p, dt, work):
         else:
             align(e, s, p)
     if e.initialised:
-        fuse_sources(e, s, p, work)
+        _fuse_sources(e, s, p, work)
         _limit_biases(e, p)
         update_status(e, s, p, work)
     s.flow_fresh = s.range_fresh = s.vision_fresh = 0
+
+
+_MAG_PERIOD_US = 60_000  # PX4: SENS_MAG_RATE 15 Hz, rounded to the magnetometer's 50 Hz
+_BARO_PERIOD_US = 50_000  # PX4: SENS_BARO_RATE 20 Hz
+
+
+@kernel
+def _fuse_sources(e, s, p, work):
+    """Process every fresh sample of this step."""
+    if s.mag_fresh and s.time_us - e.time_mag_us >= _MAG_PERIOD_US:
+        process_mag(e, s, p, work)
+    if s.gps_fresh:
+        process_gps(e, s, p, work)
+    if s.baro_fresh and s.time_us - e.time_baro_us >= _BARO_PERIOD_US:
+        process_baro(e, s, p, work)
+    if s.vision_fresh:
+        process_vision(e, s, p, work)
+    if s.range_fresh:
+        process_range(e, s, p, work)
+    if s.flow_fresh:
+        process_flow(e, s, p, work)

@@ -1,4 +1,4 @@
-"""Measurement updates and resets of the estimator's state, one scalar at a time.
+"""Measurement updates and resets of the estimator's state, one scalar at a time; lever arms and delays of sensors.
 
 Every measurement is a scalar with an innovation (measured minus predicted), a Jacobian row H with respect to the error
 state, a variance R and a gate in standard deviations. The test ratio is innovation^2 / (gate^2 (H P H' + R)); a
@@ -301,3 +301,25 @@ def reset_yaw(e, turn, variance):
     e.shifts.heading = turn
     e.resets.heading += 1
     e.resets.any += 1
+
+
+@kernel
+def to_origin(e, s, x, y, z, lag):
+    """Return what to add to a sensor's position and velocity to obtain those of the body's origin now.
+
+    Parameters EKF2_*_POS_* and EKF2_*_DELAY describe the sensor.
+
+    Args:
+        e, s: the vehicle's records.
+        x, y, z: position of the sensor, m, body FRD.
+        lag: s by which the sample is older than its time of arrival.
+
+    Returns:
+        Two 3-tuples, m and m/s, local.
+    """
+    wx, wy, wz = s.gyro[0] - e.gyro_bias[0], s.gyro[1] - e.gyro_bias[1], s.gyro[2] - e.gyro_bias[2]
+    px, py, pz = rotate(e.q, x, y, z)
+    vx, vy, vz = rotate(e.q, wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)
+    position = (e.velocity[0] * lag - px, e.velocity[1] * lag - py, e.velocity[2] * lag - pz)
+    velocity = (e.acceleration[0] * lag - vx, e.acceleration[1] * lag - vy, e.acceleration[2] * lag - vz)
+    return position, velocity

@@ -1,0 +1,1 @@
+"""Events and texts for ground stations (PX4: lib/events)."""

@@ -80,13 +80,7 @@ class Course:
     # goals
 
     def fly_to(
-        self,
-        position: Vector,
-        yaw: float = NAN,
-        *,
-        onward: Vector = UNSET,
-        radius: float = NAN,
-        speed: float = NAN,
+        self, position: Vector, yaw: float = NAN, *, onward: Vector = UNSET, radius: float = NAN, speed: float = NAN
     ) -> None:
         """Fly to ``position``.
 

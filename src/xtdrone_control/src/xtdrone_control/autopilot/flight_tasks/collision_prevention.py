@@ -41,7 +41,7 @@ def start_prevention(o, now_us):
 
 
 @kernel
-def _guided(o, bin_wanted, keep, angle):
+def _guide(o, bin_wanted, keep, angle):
     """Return the direction within ``angle`` degrees of the wanted one that has the most room (PX4's setpoint guidance).
 
     A deviation by one direction costs as much as half of ``keep``, m. Distances are averages over three directions.
@@ -61,7 +61,7 @@ def _guided(o, bin_wanted, keep, angle):
 
 
 @kernel
-def _allowed(o, i, e, p, direction_x, direction_y, towards_x, towards_y, now_us):
+def _limit_speed(o, i, e, p, direction_x, direction_y, towards_x, towards_y, now_us):
     """Return the largest speed in a direction (unit vector) with the obstacle of map direction ``i`` (``towards``)."""
     projection = direction_x * towards_x + direction_y * towards_y
     if projection <= _LEAST_PROJECTION:
@@ -105,7 +105,7 @@ def prevent_collision(o, e, p, x, y):
     yaw = yaw_of(e.q)
     wanted = math.degrees(math.atan2(direction_y, direction_x) - yaw) % 360.0
     wanted_bin = int(wanted // _BIN) % OBSTACLE_BINS
-    bin_used = _guided(o, wanted_bin, p.cp_dist, p.cp_guide_ang)
+    bin_used = _guide(o, wanted_bin, p.cp_dist, p.cp_guide_ang)
     if bin_used != wanted_bin:
         angle = yaw + math.radians(bin_used * _BIN)
         direction_x, direction_y = math.cos(angle), math.sin(angle)
@@ -118,7 +118,7 @@ def prevent_collision(o, e, p, x, y):
             if o.distances[i] > o.least:
                 angle = yaw + math.radians(i * _BIN)
                 towards_x, towards_y = math.cos(angle), math.sin(angle)
-                speed = min(speed, _allowed(o, i, e, p, direction_x, direction_y, towards_x, towards_y, now_us))
+                speed = min(speed, _limit_speed(o, i, e, p, direction_x, direction_y, towards_x, towards_y, now_us))
         elif i == bin_used and (p.cp_go_no_data < 0.5 or o.covered[i]):
             speed = 0.0
     if known == 0:

@@ -11,12 +11,17 @@ from __future__ import annotations
 import math
 
 from xtdrone_control.autopilot.flight_tasks.collision_prevention import start_prevention
-from xtdrone_control.autopilot.flight_tasks.motion_planning.moving_goal import add_goal_velocity, move_with_goal
 from xtdrone_control.autopilot.flight_tasks.motion_planning.smoothing import reset_smoothing
-from xtdrone_control.autopilot.flight_tasks.tasks.auto_tasks import descend_task, goto_task, land_task
+from xtdrone_control.autopilot.flight_tasks.tasks.auto_tasks import (
+    add_goal_velocity,
+    descend_task,
+    goto_task,
+    land_task,
+    move_with_goal,
+    orbit_task,
+)
 from xtdrone_control.autopilot.flight_tasks.tasks.follow_task import follow_task, start_following
 from xtdrone_control.autopilot.flight_tasks.tasks.manual_tasks import altitude_task, sticks_task
-from xtdrone_control.autopilot.flight_tasks.tasks.orbit_task import orbit_task
 from xtdrone_control.autopilot.state import (
     TASK_ALTITUDE,
     TASK_DESCEND,
@@ -28,7 +33,7 @@ from xtdrone_control.autopilot.state import (
     TASK_TRAJECTORY,
 )
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation_kernels import yaw_of
+from xtdrone_control.rotation_kernels import wrap_pi, yaw_of
 
 _NAN = math.nan
 
@@ -131,3 +136,41 @@ def generate_setpoint(c, s, e, p, dt):
     elif s.task == TASK_ALTITUDE:
         altitude_task(c, s, e, p, dt)
     s.task_changed = 0
+
+
+@kernel
+def follow_resets(path, last_velocity, seen, resets, shifts):
+    """Shift the smoothed path by the estimator's resets since the last call; restart the velocity's derivative.
+
+    As in PX4's flight tasks a held position or smoothed path moves with the estimate, so that a reset causes no motion.
+    Goals and OFFBOARD setpoints are not shifted; the vehicle flies to them on its smoothed path.
+
+    Args:
+        path: ``PATH`` record.
+        last_velocity: m/s, local, shape (3,), set to NaN by a reset of the velocity.
+        seen: ``RESETS`` record of the resets already applied.
+        resets: ``RESETS`` record of the estimator.
+        shifts: its ``SHIFTS`` record.
+    """
+    if seen.any == resets.any:
+        return
+    seen.any = resets.any
+    if seen.xy != resets.xy:
+        seen.xy = resets.xy
+        for i in range(2):
+            path.position[i] += shifts.xy[i]
+    if seen.vxy != resets.vxy:
+        seen.vxy = resets.vxy
+        for i in range(2):
+            path.velocity[i] += shifts.vxy[i]
+            last_velocity[i] = math.nan
+    if seen.z != resets.z:
+        seen.z = resets.z
+        path.position[2] += shifts.z
+    if seen.vz != resets.vz:
+        seen.vz = resets.vz
+        path.velocity[2] += shifts.vz
+        last_velocity[2] = math.nan
+    if seen.heading != resets.heading:
+        seen.heading = resets.heading
+        path.yaw = wrap_pi(path.yaw + shifts.heading)

@@ -62,12 +62,7 @@ class ObstacleMap:
                 self._enter(i, float(distances[index]), limits[1])
 
     def add_sensor(
-        self,
-        orientation: int,
-        q: Sequence[float],
-        width: float,
-        distance: float,
-        limits: tuple[float, float],
+        self, orientation: int, q: Sequence[float], width: float, distance: float, limits: tuple[float, float]
     ) -> None:
         """Add the distance of a DISTANCE_SENSOR message that looks sideways; others are ignored.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.autopilot.state import HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION, MAX_ROTORS
 from xtdrone_control.geodesy import projection
-from xtdrone_control.rotation_arrays import to_euler, yaw_of
+from xtdrone_control.rotation import to_eulers, yaws_of
 
 EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0, as in telemetry
 
@@ -63,7 +63,7 @@ class Samples:
     @cached_property
     def heading(self) -> Array:
         """Estimated heading, rad, -pi..pi."""
-        return yaw_of(self.estimator["q"])
+        return yaws_of(self.estimator["q"])
 
     @cached_property
     def horizontal_accuracy(self) -> Array:
@@ -374,7 +374,7 @@ def _local_position_setpoint(m: np.ndarray, s: Samples) -> None:
 
 @_topic("vehicle_attitude_setpoint", 40)
 def _attitude_setpoint(m: np.ndarray, s: Samples) -> None:
-    m["roll_body"], m["pitch_body"], m["yaw_body"] = to_euler(s.control["sp_q"])
+    m["roll_body"], m["pitch_body"], m["yaw_body"] = to_eulers(s.control["sp_q"])
     m["yaw_sp_move_rate"] = np.nan_to_num(s.control["sp_yaw_rate"])
     m["q_d"] = s.control["sp_q"]
     m["thrust_body"][..., 2] = -s.control["sp_thrust"]

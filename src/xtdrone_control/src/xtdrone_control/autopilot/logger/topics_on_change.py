@@ -30,7 +30,7 @@ _BY_COMMAND = 4  # ARM_DISARM_REASON_COMMAND_EXTERNAL
 _FROM_RADIO, _FROM_MAVLINK = 1, 2  # manual_control_setpoint.data_source
 _SETPOINT_POSITION, _SETPOINT_LOITER, _SETPOINT_TAKEOFF, _SETPOINT_LAND, _SETPOINT_IDLE = 0, 2, 3, 4, 5
 
-NAMES = (
+NAMES = [
     "vehicle_status",
     "vehicle_control_mode",
     "actuator_armed",
@@ -45,7 +45,7 @@ NAMES = (
     "mission_result",
     "vehicle_command",
     "vehicle_command_ack",
-)
+]
 # mode masks in failsafe_flags and the corresponding entries of ``Mode.needs``
 _NEEDS = (
     ("mode_req_attitude", "attitude"),

@@ -28,20 +28,9 @@ _MAX_ARRAY_LENGTH = 0xFFFF
 SYSTEM_DEFAULT, SETUP_DEFAULT = 1, 2  # default of the firmware, default of the airframe
 
 # ULog's basic types and their numpy equivalents
-TYPES: dict[str, str] = {
-    "int8_t": "<i1",
-    "uint8_t": "<u1",
-    "int16_t": "<i2",
-    "uint16_t": "<u2",
-    "int32_t": "<i4",
-    "uint32_t": "<u4",
-    "int64_t": "<i8",
-    "uint64_t": "<u8",
-    "float": "<f4",
-    "double": "<f8",
-    "bool": "?",
-    "char": "<u1",
-}
+_TYPES = "int8_t uint8_t int16_t uint16_t int32_t uint32_t int64_t uint64_t float double bool char"
+_NUMPY_TYPES = "<i1 <u1 <i2 <u2 <i4 <u4 <i8 <u8 <f4 <f8 ? <u1"
+TYPES = dict(zip(_TYPES.split(), _NUMPY_TYPES.split(), strict=True))
 _STRUCT_CODES = dict(zip(TYPES, "bBhHiIqQfd?", strict=False))
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")

@@ -12,44 +12,10 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import Items, PlanItem
 from xtdrone_control.geodesy import projection
 
-_SUPPORTED = plan.POSITION_COMMANDS | {
-    plan.RETURN,
-    plan.DELAY,
-    plan.CONDITION_GATE,
-    plan.WINCH,
-    plan.GRIPPER,
-    plan.JUMP,
-    plan.CHANGE_SPEED,
-    plan.SET_HOME,
-    plan.LAND_START,
-    plan.TRIGGER_CONTROL,
-    plan.DIGICAM_CONTROL,
-    plan.START_IMAGES,
-    plan.STOP_IMAGES,
-    plan.START_VIDEO,
-    plan.STOP_VIDEO,
-    plan.CONTROL_VIDEO,
-    plan.MOUNT_CONFIGURE,
-    plan.MOUNT_CONTROL,
-    plan.GIMBAL_PITCHYAW,
-    plan.GIMBAL_CONFIGURE,
-    plan.SET_ACTUATOR,
-    plan.SET_ROI,
-    plan.SET_ROI_LOCATION,
-    plan.SET_ROI_NEXT,
-    plan.SET_ROI_NONE,
-    plan.TRIGGER_DISTANCE,
-    plan.OBLIQUE_SURVEY,
-    plan.TRIGGER_INTERVAL,
-    plan.CAMERA_MODE,
-    plan.CAMERA_ZOOM,
-    plan.CAMERA_FOCUS,
-    plan.VTOL_TRANSITION,
-}
 _VTOL = (plan.VTOL_TAKEOFF, plan.VTOL_LAND, plan.VTOL_TRANSITION)
 _TAKEOFFS = (plan.TAKEOFF, plan.VTOL_TAKEOFF)
 # commands allowed before a takeoff: those without a position, with PX4's three exceptions
-_BEFORE_TAKEOFF = _SUPPORTED - plan.POSITION_COMMANDS - {plan.RETURN, plan.CONDITION_GATE, plan.SET_ACTUATOR}
+_BEFORE_TAKEOFF = plan.FLOWN - plan.POSITION_COMMANDS - {plan.RETURN, plan.CONDITION_GATE, plan.SET_ACTUATOR}
 _EPSILON = 1e-6
 _MIN_GATE_DISTANCE = 0.05  # m
 
@@ -101,7 +67,7 @@ def _check_items(items: Items, now: Situation) -> Problem | None:
         if item.has_position and item.relative and math.isnan(now.home_altitude):
             text = f"Mission rejected: No home pos, WP {i + 1} uses rel alt"
             return Problem(text, "navigator_mis_no_home_rel_alt", i + 1)
-        if item.command not in _SUPPORTED:
+        if item.command not in plan.FLOWN:
             text = f"Mission rejected: item {i + 1}: unsupported cmd: {item.command}"
             return Problem(text, "navigator_mis_unsup_cmd", i + 1, item.command)
     if items[0].command == plan.LAND and now.landed:

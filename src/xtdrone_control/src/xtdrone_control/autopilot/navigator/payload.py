@@ -197,18 +197,7 @@ _HANDLERS: dict[int, Callable[[Payload, Sequence[float]], None]] = {
     plan.SET_ACTUATOR: Payload._set_actuators,
     plan.START_VIDEO: lambda payload, _: payload._record(True),
     plan.STOP_VIDEO: lambda payload, _: payload._record(False),
-    **dict.fromkeys(
-        (
-            plan.CONTROL_VIDEO,
-            plan.MOUNT_CONFIGURE,
-            plan.GIMBAL_CONFIGURE,
-            plan.OBLIQUE_SURVEY,
-            plan.CAMERA_MODE,
-            plan.CAMERA_ZOOM,
-            plan.CAMERA_FOCUS,
-            plan.GRIPPER,
-            plan.WINCH,
-        ),
-        Payload._ignore,
-    ),
+    **dict.fromkeys((plan.CONTROL_VIDEO, plan.MOUNT_CONFIGURE, plan.GIMBAL_CONFIGURE), Payload._ignore),
+    **dict.fromkeys((plan.OBLIQUE_SURVEY, plan.CAMERA_MODE, plan.CAMERA_ZOOM, plan.CAMERA_FOCUS), Payload._ignore),
+    **dict.fromkeys((plan.GRIPPER, plan.WINCH), Payload._ignore),
 }

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from xtdrone_control.autopilot import c_casts
+from xtdrone_control.autopilot.tables.reader import Converter, one_of, read_table
 
 # MAV_MISSION_TYPE
 MISSION, FENCE, RALLY = 0, 1, 2
@@ -34,6 +35,24 @@ START_IMAGES, STOP_IMAGES, TRIGGER_CONTROL = 2000, 2001, 2003
 START_VIDEO, STOP_VIDEO, VTOL_TRANSITION, WINCH = 2500, 2501, 3000, 42600
 FENCE_RETURN_POINT, FENCE_INCLUSION, FENCE_EXCLUSION = 5000, 5001, 5002
 FENCE_CIRCLE_INCLUSION, FENCE_CIRCLE_EXCLUSION, RALLY_POINT = 5003, 5004, 5100
+
+_COMMAND_COLUMNS: dict[str, Converter] = {
+    "command": int,
+    "name": str,
+    "with_position": str,
+    "without_position": one_of("yes", "no"),
+    "flown": one_of("yes", "no"),
+}
+_COMMANDS = read_table("mission_commands", _COMMAND_COLUMNS)
+POSITIONED: dict[int, str] = {row[0]: row[2] for row in _COMMANDS if row[2]}
+"""Commands that may have a position, and how PX4 returns their parameters 1 to 4.
+
+v: unchanged, f: as 0 or 1, y: as a heading, -: as 0.
+"""
+UNPOSITIONED = frozenset(row[0] for row in _COMMANDS if row[3] == "yes")
+"""Commands that may have none."""
+FLOWN = frozenset(row[0] for row in _COMMANDS if row[4] == "yes")
+"""Commands that PX4's feasibility check allows in a multicopter's mission."""
 
 POSITION_COMMANDS = frozenset(
     (WAYPOINT, LOITER_UNLIM, LOITER_TIME, LAND, TAKEOFF, LOITER_TO_ALT, VTOL_TAKEOFF, VTOL_LAND)

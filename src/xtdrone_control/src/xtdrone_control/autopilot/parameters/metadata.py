@@ -21,8 +21,16 @@ from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE, ENUM_TYPES, Definition
 from xtdrone_control.autopilot.events.event_texts import ACTIONS, CAUSES, MODES
 from xtdrone_control.autopilot.events.events import event_id
-from xtdrone_control.autopilot.parameters.parameter_choices import AT_START, BITS, CHOICES, FIXED, VOLATILE
-from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, Parameter, Parameters, describe
+from xtdrone_control.autopilot.parameters.parameters import (
+    FIXED,
+    INT32,
+    NAMES,
+    VOLATILE,
+    Parameter,
+    Parameters,
+    describe,
+)
+from xtdrone_control.autopilot.tables.reader import Converter, one_of, read_table
 
 GENERAL, PARAMETER, EVENTS = 0, 1, 4  # COMP_METADATA_TYPE
 
@@ -39,49 +47,28 @@ _COMPONENT_LABELS = {
     events.SYSTEM: ("system", "system"),
     events.GLOBAL_POSITION: ("global_position_estimate", "global position estimate"),
 }
-_GROUPS = {
-    "ASPD": "Airspeed",
-    "BAT": "Battery",
-    "BAT1": "Battery",
-    "CA": "Control allocation",
-    "CAL": "Sensor calibration",
-    "CBRK": "Circuit breakers",
-    "COM": "Commander",
-    "CP": "Collision prevention",
-    "EKF2": "Estimator",
-    "FD": "Failure detector",
-    "FLW": "Follow target",
-    "FW": "Fixed wing",
-    "GF": "Geofence",
-    "GND": "Rover",
-    "HTE": "Hover thrust estimator",
-    "IMU": "Sensors",
-    "LND": "Land detector",
-    "LNDMC": "Land detector",
-    "MAN": "Manual control",
-    "MAV": "MAVLink",
-    "MC": "Attitude and rate control",
-    "MIS": "Mission",
-    "MNT": "Mount",
-    "MOT": "Motors",
-    "MPC": "Position control",
-    "NAV": "Mission",
-    "PD": "Payload",
-    "LTEST": "Landing target estimator",
-    "PLD": "Precision landing",
-    "PWM": "Outputs",
-    "RTL": "Return",
-    "SDLOG": "Logging",
-    "SENS": "Sensors",
-    "SIM": "Simulation",
-    "SYS": "System",
-    "THR": "Motors",
-    "VT": "VTOL",
-    "VTO": "VTOL",
-    "WV": "Weather vane",
-}
+_GROUPS = dict(read_table("parameter_groups", {"prefix": str, "group": str}))
 _RADIO = "Radio"
 _MOST_DECIMALS = 7
+_KINDS = one_of("value", "bit")
+_LABEL_COLUMNS: dict[str, Converter] = {"parameters": str.split, "kind": _KINDS, "number": int, "label": str}
+
+AT_START = frozenset({"EKF2_ABIAS_INIT", "EKF2_ANGERR_INIT", "EKF2_GBIAS_INIT"})
+"""Parameters that take effect only at start."""
+
+
+def _read_labels(kind: str) -> dict[str, dict[int, str]]:
+    found: dict[str, dict[int, str]] = {}
+    for names, of_kind, index, label in read_table("parameter_labels", _LABEL_COLUMNS):
+        for name in names if of_kind == kind else ():
+            found.setdefault(name, {})[index] = label
+    return found
+
+
+CHOICES = _read_labels("value")
+"""Labels of the values of enumerated parameters, which ground stations show instead of the numbers."""
+BITS = _read_labels("bit")
+"""Labels of the bits of parameters, by bit number."""
 
 
 def _to_json(content: Mapping[str, Any]) -> bytes:

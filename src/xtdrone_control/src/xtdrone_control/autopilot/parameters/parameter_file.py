@@ -58,7 +58,7 @@ class ParameterFile:
 
     Attributes:
         system: its MAVLink system id.
-        values: by name.
+        values: Values of the parameters by name.
         stack: autopilot, "PX4 Pro" or "ArduPilot"; empty if the file does not name one.
         skipped: descriptions of the rows that are not among the values, with the name of the file and the line.
     """
@@ -250,7 +250,7 @@ def write_changed(path: Path, rows: Iterable[Row], system: int, component: int) 
     """Replace a file atomically with the parameters of an autopilot that differ from its defaults.
 
     Args:
-        path: of the file.
+        path: Path of the file.
         rows: the parameters; values are written with all their digits.
         system, component: MAVLink ids.
 

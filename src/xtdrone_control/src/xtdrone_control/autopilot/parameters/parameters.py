@@ -1,8 +1,13 @@
 """The autopilot's parameters: names, types and defaults of PX4 v1.14.
 
 Kernels read the ``PARAMS`` record, which has one float64 field per kernel parameter, with its name in lower case, and
-the records of ``derived_records``. All other code reads ``Parameters``. The tables are in ``effective_parameters``
-(parameters that the autopilot reads) and ``inert_parameters`` (stored without effect).
+the records of ``derived_records``. All other code reads ``Parameters``. ``tables/parameters.csv`` has all, with the
+defaults of a PX4 v1.14.3 SITL build; ``effect`` is "kernel" for parameters that kernels read, "other" for those that
+other code reads, and "none" for those that are only stored, for compatibility with scripts for a real PX4.
+
+To change a default for all vehicles, change it there; for one vehicle type, set it in the section ``parameters:`` of
+``xtdrone_sim/config/vehicles/<type>.yaml``, which takes precedence. That file also has the physical values (mass,
+rotors, sensors), which are not parameters of the autopilot.
 """
 
 from __future__ import annotations
@@ -11,22 +16,16 @@ import logging
 import math
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from struct import pack
 from typing import Any
 
 import numpy as np
 
-from xtdrone_control.autopilot.parameters import (
-    dependent_parameters,
-    former_parameters,
-    inert_parameters,
-    parameter_file,
-)
+from xtdrone_control.autopilot.parameters import dependent_parameters, former_parameters, parameter_file
 from xtdrone_control.autopilot.parameters.derived_records import DERIVED
-from xtdrone_control.autopilot.parameters.effective_parameters import KERNEL_ROWS, OTHER_ROWS, Row, numbered_rows
-from xtdrone_control.autopilot.parameters.parameter_choices import VOLATILE
+from xtdrone_control.autopilot.tables.reader import Converter, number, one_of, read_table
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32
 FLOAT = 9  # MAV_PARAM_TYPE_REAL32
@@ -35,7 +34,12 @@ _log = logging.getLogger(__name__)
 _INT32_RANGE = (-(1 << 31), (1 << 31) - 1)
 _FLOAT_MAX = 3.4028234663852886e38
 _CRC_FLIP = 0xFFFFFFFF
-_FIXED = ("MAV_SYS_ID", "MAV_COMP_ID")  # set by the fleet, never from a file
+_STORED_ONLY = "stored, without effect in this simulation"
+
+FIXED = frozenset({"MAV_COMP_ID", "MAV_SYS_ID"})
+"""Parameters set by the fleet, which cannot be changed, not even by a file."""
+VOLATILE = frozenset({"COM_FLIGHT_UUID", "LND_FLIGHT_T_HI", "LND_FLIGHT_T_LO"})
+"""Parameters that change by themselves, which the hash of all parameters leaves out."""
 
 
 class ParameterError(ValueError):
@@ -48,41 +52,53 @@ class Parameter:
 
     Attributes:
         name: PX4's name.
+        effect: "kernel" if kernels read the parameter, "other" if other code does, "none" if it is only stored.
         type: ``INT32`` or ``FLOAT``, the numbers of MAV_PARAM_TYPE.
         default: PX4's default.
         minimum: minimum sensible value; a smaller one is stored with a warning, as in PX4.
         maximum: largest sensible value, likewise.
         unit: unit, empty for none.
         text: short description.
-        has_effect: whether the parameter is read, not only stored.
     """
 
     name: str
+    effect: str
     type: int
     default: float
     minimum: float
     maximum: float
     unit: str
     text: str
-    has_effect: bool = True
+
+    @property
+    def has_effect(self) -> bool:
+        """Whether the parameter is read, not only stored."""
+        return self.effect != "none"
 
 
-def _parameter(row: Row) -> Parameter:
-    name, default, minimum, maximum, unit, text = row
-    kind = INT32 if isinstance(default, int) else FLOAT
-    return Parameter(name, kind, default, minimum, maximum, unit, text)
+_COLUMNS: dict[str, Converter] = {
+    "name": str,
+    "effect": one_of("kernel", "other", "none"),
+    "default": number,
+    "minimum": lambda text: number(text) if text else -math.inf,
+    "maximum": lambda text: number(text) if text else math.inf,
+    "unit": str,
+    "text": str,
+}
 
 
-def _table() -> dict[str, Parameter]:
-    """Return every parameter by name, sorted as PX4 lists them."""
-    table = {row[0]: _parameter(row) for row in KERNEL_ROWS + OTHER_ROWS + numbered_rows()}
-    for row in inert_parameters.rows():
-        table[row[0]] = replace(_parameter((*row, "stored, without effect in this simulation")), has_effect=False)
-    return dict(sorted(table.items()))
+def _read_parameters() -> dict[str, Parameter]:
+    """Return every parameter by name, in the order of the file."""
+    found = {}
+    for name, effect, default, minimum, maximum, unit, text in read_table("parameters", _COLUMNS):
+        kind = INT32 if isinstance(default, int) else FLOAT
+        found[name] = Parameter(name, effect, kind, default, minimum, maximum, unit, text or _STORED_ONLY)
+    return found
 
 
-_TABLE: dict[str, Parameter] = _table()
-_FIELDS: dict[str, str] = {row[0]: row[0].lower() for row in KERNEL_ROWS}
+_TABLE = _read_parameters()
+_FIELDS = {name: name.lower() for name, entry in _TABLE.items() if entry.effect == "kernel"}
+_TABLE = dict(sorted(_TABLE.items()))  # as PX4 lists them
 
 NAMES: tuple[str, ...] = tuple(_TABLE)  # sorted
 INDEX: dict[str, int] = {name: index for index, name in enumerate(NAMES)}  # as PARAM_VALUE.param_index
@@ -108,7 +124,7 @@ def describe(name: str) -> Parameter:
     return entry
 
 
-def _checked(entry: Parameter, value: float) -> int | float:
+def _convert(entry: Parameter, value: float) -> int | float:
     """Return ``value`` converted to the parameter's type.
 
     Raises:
@@ -223,7 +239,7 @@ class Parameters:
         entry = describe(name)
         if kind is not None and kind != entry.type:
             raise ParameterError(f"{name}: type {kind} is not allowed, its MAV_PARAM_TYPE is {entry.type}")
-        stored = _checked(entry, value)
+        stored = _convert(entry, value)
         if not entry.minimum <= stored <= entry.maximum:
             _log.warning("%s: %s is outside %s..%s %s", name, stored, entry.minimum, entry.maximum, entry.unit)
         changed = stored != self._values[name]
@@ -258,7 +274,7 @@ class Parameters:
             return
         self.reset()
         for name, value, kind in parameter_file.read_rows(self._file):
-            if name in _FIXED and value != self._values[name]:
+            if name in FIXED and value != self._values[name]:
                 _log.warning("parameter file %s: %s = %s is skipped, as the fleet sets it", self._file, name, value)
                 continue
             try:

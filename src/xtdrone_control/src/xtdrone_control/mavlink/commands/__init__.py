@@ -1,0 +1,1 @@
+"""Messages that command a vehicle: commands, setpoints, sticks, gimbal, external sensors."""

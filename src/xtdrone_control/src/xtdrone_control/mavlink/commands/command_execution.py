@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -17,10 +18,69 @@ from xtdrone_control.autopilot import c_casts
 from xtdrone_control.autopilot.commander.commander import CRITICAL, Result
 from xtdrone_control.autopilot.navigator.gimbal_manager import GimbalManager
 from xtdrone_control.autopilot.navigator.plan import PlanItem
+from xtdrone_control.autopilot.state import (
+    FAILURE_GARBAGE,
+    FAILURE_OFF,
+    FAILURE_OK,
+    FAILURE_SLOW,
+    FAILURE_STUCK,
+    FAILURE_WRONG,
+)
 from xtdrone_control.mavlink.client_link import Link
-from xtdrone_control.mavlink.commands import failure_injection
 from xtdrone_control.mavlink.service_base import Vehicle
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+
+if TYPE_CHECKING:
+    from xtdrone_control.mavlink.service_base import Vehicle
+
+_SENSOR = frozenset({FAILURE_OK, FAILURE_OFF, FAILURE_STUCK, FAILURE_GARBAGE, FAILURE_WRONG, FAILURE_SLOW})
+_SWITCH = frozenset({FAILURE_OK, FAILURE_OFF})
+_MOTORS = 101
+
+# FAILURE_UNIT to the field of the FAILURES record and the supported FAILURE_TYPEs; other units are not simulated
+# (airspeed sensor, servos) or cannot fail
+_UNITS: dict[int, tuple[str, frozenset[int]]] = {
+    0: ("gyro", _SENSOR),
+    1: ("accel", _SENSOR),
+    2: ("mag", _SENSOR),
+    3: ("baro", _SENSOR),
+    4: ("gps", _SENSOR),
+    5: ("optical_flow", _SENSOR),
+    6: ("vio", _SENSOR),
+    7: ("distance_sensor", _SENSOR),
+    100: ("battery", _SWITCH),
+    _MOTORS: ("motor", _SWITCH),
+    104: ("rc_signal", _SWITCH),
+}
+
+
+def _inject(vehicle: Vehicle, unit: int, kind: int, instance: int) -> Result:
+    """Inject a failure into a unit, or clear it.
+
+    Args:
+        vehicle: vehicle of the unit.
+        unit: FAILURE_UNIT.
+        kind: FAILURE_TYPE; 0 clears the failure.
+        instance: number of the instance, from 1; 0: all. Only motors have more than one.
+
+    Returns:
+        ACCEPTED; DENIED while SYS_FAILURE_EN is 0; UNSUPPORTED for a unit, instance or type that is not simulated.
+    """
+    if not vehicle.commander.parameters.get("SYS_FAILURE_EN"):
+        return Result.DENIED
+    field, kinds = _UNITS.get(unit, ("", frozenset()))
+    count = vehicle.autopilot.rotor_count(vehicle.index) if unit == _MOTORS else 1
+    if kind not in kinds or not 0 <= instance <= count:
+        return Result.UNSUPPORTED
+    record = vehicle.autopilot.failures[vehicle.index]
+    if unit != _MOTORS:
+        record[field] = kind
+    elif instance:
+        record[field][instance - 1] = kind
+    else:
+        record[field][:count] = kind
+    return Result.ACCEPTED
+
 
 _NAN = math.nan
 _INT32_UNSET = 0x7FFFFFFF  # x and y that are left out of COMMAND_INT
@@ -40,31 +100,14 @@ _ROI = (
     mavlink.MAV_CMD_DO_SET_ROI,
 )
 
-# Handled by modules that do not run in PX4's simulator: no acknowledgement
-_SILENT = frozenset(
-    {
-        mavlink.MAV_CMD_NAV_DELAY,
-        mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
-        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST,
-        mavlink.MAV_CMD_DO_GRIPPER,
-        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL,
-        mavlink.MAV_CMD_DO_MOUNT_CONTROL_QUAT,
-        mavlink.MAV_CMD_PREFLIGHT_SET_SENSOR_OFFSETS,
-        mavlink.MAV_CMD_PREFLIGHT_UAVCAN,
-        mavlink.MAV_CMD_OBLIQUE_SURVEY,
-        mavlink.MAV_CMD_CONFIGURE_ACTUATOR,
-        mavlink.MAV_CMD_START_RX_PAIR,
-        mavlink.MAV_CMD_SET_CAMERA_MODE,
-        mavlink.MAV_CMD_SET_CAMERA_ZOOM,
-        mavlink.MAV_CMD_SET_CAMERA_FOCUS,
-        mavlink.MAV_CMD_DO_TRIGGER_CONTROL,
-        mavlink.MAV_CMD_CONTROL_HIGH_LATENCY,
-        mavlink.MAV_CMD_DO_VTOL_TRANSITION,
-        mavlink.MAV_CMD_PAYLOAD_PREPARE_DEPLOY,
-        mavlink.MAV_CMD_PAYLOAD_CONTROL_DEPLOY,
-        mavlink.MAV_CMD_DO_WINCH,
-    }
-)
+# MAV_CMDs handled by modules that do not run in PX4's simulator: no acknowledgement
+_SILENT_NAMES = """
+    NAV_DELAY DO_DIGICAM_CONTROL DO_SET_CAM_TRIGG_DIST DO_GRIPPER DO_SET_CAM_TRIGG_INTERVAL DO_MOUNT_CONTROL_QUAT
+    PREFLIGHT_SET_SENSOR_OFFSETS PREFLIGHT_UAVCAN OBLIQUE_SURVEY CONFIGURE_ACTUATOR START_RX_PAIR SET_CAMERA_MODE
+    SET_CAMERA_ZOOM SET_CAMERA_FOCUS DO_TRIGGER_CONTROL CONTROL_HIGH_LATENCY DO_VTOL_TRANSITION
+    PAYLOAD_PREPARE_DEPLOY PAYLOAD_CONTROL_DEPLOY DO_WINCH
+"""
+_SILENT = frozenset(getattr(mavlink, f"MAV_CMD_{name}") for name in _SILENT_NAMES.split())
 
 
 @dataclass(frozen=True)
@@ -138,9 +181,9 @@ class CommandHandler:
         self._vehicle = vehicle
         self._commander = commander = vehicle.commander
         self._handlers: dict[int, Callable[[Command, Link], Result | None]] = {
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda *_: commander.return_to_launch(),
-            mavlink.MAV_CMD_NAV_LAND: lambda *_: commander.land(),
-            mavlink.MAV_CMD_NAV_LAND_LOCAL: lambda *_: commander.precision_land(),  # PX4 uses this number
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda *_: commander.commands.return_to_launch(),
+            mavlink.MAV_CMD_NAV_LAND: lambda *_: commander.commands.land(),
+            mavlink.MAV_CMD_NAV_LAND_LOCAL: lambda *_: commander.commands.precision_land(),  # PX4 uses this number
             mavlink.MAV_CMD_NAV_TAKEOFF: self._takeoff,
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
             mavlink.MAV_CMD_DO_FLIGHTTERMINATION: lambda command, *_: commander.flight_termination(command.params[0]),
@@ -217,32 +260,32 @@ class CommandHandler:
             latitude = longitude = _NAN
             if altitude == 0.0:  # all are left out
                 altitude = yaw = _NAN
-        return self._commander.takeoff(altitude, yaw, (latitude, longitude))
+        return self._commander.commands.takeoff(altitude, yaw, (latitude, longitude))
 
     def _change_speed(self, command: Command, _link: Link) -> Result:
-        return self._commander.change_speed(command.params[0], command.params[1])
+        return self._commander.commands.change_speed(command.params[0], command.params[1])
 
     def _change_altitude(self, command: Command, _link: Link) -> Result:
-        return self._commander.change_altitude(command.params[0])
+        return self._commander.commands.change_altitude(command.params[0])
 
     def _reposition(self, command: Command, _link: Link) -> Result:
         if c_casts.to_unsigned(command.params[1]) != _CHANGE_MODE_FLAG:
             return Result.UNSUPPORTED
         speed, _, _, yaw, latitude, longitude, altitude = command.params
-        return self._commander.reposition((latitude, longitude, altitude), yaw, speed)
+        return self._commander.commands.reposition((latitude, longitude, altitude), yaw, speed)
 
     def _orbit(self, command: Command, _link: Link) -> Result:
         radius, speed, yaw_behaviour, _, latitude, longitude, altitude = command.params
-        return self._commander.orbit(radius, speed, yaw_behaviour, (latitude, longitude, altitude))
+        return self._commander.commands.orbit(radius, speed, yaw_behaviour, (latitude, longitude, altitude))
 
     def _set_home(self, command: Command, _link: Link) -> Result:
         here, _, _, yaw, latitude, longitude, altitude = command.params
         if here > 0.5:
-            return self._commander.set_home(None)
-        return self._commander.set_home((latitude, longitude, altitude), math.radians(yaw))
+            return self._commander.commands.set_home(None)
+        return self._commander.commands.set_home((latitude, longitude, altitude), math.radians(yaw))
 
     def _start_mission(self, command: Command, _link: Link) -> Result:
-        return self._commander.start_mission(command.params[0])  # PX4 ignores the last item, param2
+        return self._commander.commands.start_mission(command.params[0])  # PX4 ignores the last item, param2
 
     def _start_landing(self, command: Command, link: Link) -> Result:
         """Start the mission at its landing sequence; accepted also without one, as in PX4."""
@@ -367,7 +410,7 @@ class CommandHandler:
 
     def _inject_failure(self, command: Command, _link: Link) -> Result:
         unit, kind, instance = (c_casts.to_int(value + 0.5) for value in command.params[:3])
-        return failure_injection.inject(self._vehicle, unit, kind, instance)
+        return _inject(self._vehicle, unit, kind, instance)
 
     # messages
 

@@ -1,6 +1,6 @@
 """Messages of gimbal protocol v2.
 
-Commands are in ``command_execution``, streams in ``streams.esc_gimbal_traffic_telemetry``.
+Commands are in ``command_execution``, streams in ``streams.device_telemetry``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from xtdrone_control import frames
 from xtdrone_control.autopilot.navigator.gimbal_manager import GimbalManager
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.service_base import Service, Vehicle
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import (
+from xtdrone_control.mavlink.streams.device_telemetry import (
     GIMBAL_CAPABILITIES,
     GIMBAL_DEVICE,
     GIMBAL_RANGE,

@@ -112,7 +112,7 @@ def local_target(commander: Commander, m: Any) -> None:
         offset = _vector(mask, _POSITION, m.x, m.y, m.z)
         velocity = _vector(mask, _VELOCITY, m.vx, m.vy, m.vz)
         acceleration = _vector(mask, _ACCELERATION, m.afx, m.afy, m.afz)
-        start, heading = commander.offset_start((*offset, *velocity, *acceleration, yaw, yaw_rate))
+        start, heading = commander.offboard.offset_start((*offset, *velocity, *acceleration, yaw, yaw_rate))
         x, y, z = _to_ned(offset, heading)
         position = (start[0] + x, start[1] + y, start[2] + z)
         velocity = _to_ned(velocity, commander.view.yaw)
@@ -123,7 +123,7 @@ def local_target(commander: Commander, m: Any) -> None:
     _reject_force(mask, acceleration, name)
     if not (_is_set(position) or _is_set(velocity) or _is_set(acceleration)):
         raise RefusedSetpointError(f"{name} invalid")
-    commander.offboard_trajectory(position, velocity, acceleration, yaw, yaw_rate)
+    commander.offboard.set_trajectory(position, velocity, acceleration, yaw, yaw_rate)
 
 
 def global_target(commander: Commander, m: Any) -> None:
@@ -139,7 +139,7 @@ def global_target(commander: Commander, m: Any) -> None:
     velocity = _vector(mask, _VELOCITY, m.vx, m.vy, m.vz)
     acceleration = _vector(mask, _ACCELERATION, m.afx, m.afy, m.afz)
     _reject_force(mask, acceleration, name)
-    commander.offboard_trajectory(position, velocity, acceleration, *_yaw_and_rate(m))
+    commander.offboard.set_trajectory(position, velocity, acceleration, *_yaw_and_rate(m))
 
 
 def _global_position(commander: Commander, m: Any, name: str) -> Vector:
@@ -173,6 +173,6 @@ def attitude_target(commander: Commander, m: Any) -> None:
     yaw_rate = _NAN if mask & _YAW_RATE_IGNORED else m.body_yaw_rate
     thrust = 0.0 if mask & _NO_THRUST else m.thrust
     if not mask & _NO_ATTITUDE:
-        commander.offboard_attitude(m.q, yaw_rate, -m.thrust_body[2] if mask & _THRUST_BODY else thrust)
+        commander.offboard.set_attitude(m.q, yaw_rate, -m.thrust_body[2] if mask & _THRUST_BODY else thrust)
     elif not mask & _RATE_BITS:
-        commander.offboard_rates((m.body_roll_rate, m.body_pitch_rate, yaw_rate), thrust)
+        commander.offboard.set_rates((m.body_roll_rate, m.body_pitch_rate, yaw_rate), thrust)

@@ -1,0 +1,1 @@
+"""MAVLink's microservices: connection, missions, parameters, events, files and logs."""

@@ -22,64 +22,6 @@ _GLOBAL, _RELATIVE, _GLOBAL_INT, _RELATIVE_INT = 0, 3, 5, 6  # MAV_FRAME
 _SCALE = 1e7
 _INT32_MAX = (1 << 31) - 1
 
-# commands with a position, and how PX4 returns their parameters: v unchanged, f as 0 or 1, y as a heading, - as 0
-_POSITIONED = {
-    plan.WAYPOINT: "vv-y",
-    plan.LOITER_UNLIM: "--vy",
-    plan.LOITER_TIME: "vfvf",
-    plan.LAND: "-v-y",
-    plan.TAKEOFF: "---y",
-    plan.LOITER_TO_ALT: "fv-f",
-    plan.ROI: "----",
-    plan.SET_ROI: "----",
-    plan.SET_ROI_LOCATION: "----",
-    plan.VTOL_TAKEOFF: "---y",
-    plan.VTOL_LAND: "---y",
-    plan.CONDITION_GATE: "----",
-    plan.FENCE_RETURN_POINT: "----",
-    plan.FENCE_INCLUSION: "v---",
-    plan.FENCE_EXCLUSION: "v---",
-    plan.FENCE_CIRCLE_INCLUSION: "v---",
-    plan.FENCE_CIRCLE_EXCLUSION: "v---",
-    plan.RALLY_POINT: "----",
-}
-_UNPOSITIONED = frozenset(
-    (
-        plan.JUMP,
-        plan.ROI,
-        plan.SET_ROI,
-        plan.WINCH,
-        plan.GRIPPER,
-        plan.CHANGE_SPEED,
-        plan.SET_HOME,
-        plan.LAND_START,
-        plan.TRIGGER_CONTROL,
-        plan.DIGICAM_CONTROL,
-        plan.MOUNT_CONFIGURE,
-        plan.MOUNT_CONTROL,
-        plan.GIMBAL_PITCHYAW,
-        plan.CAMERA_FOCUS,
-        plan.CAMERA_ZOOM,
-        plan.GIMBAL_CONFIGURE,
-        plan.START_IMAGES,
-        plan.STOP_IMAGES,
-        plan.START_VIDEO,
-        plan.STOP_VIDEO,
-        plan.CONTROL_VIDEO,
-        plan.TRIGGER_DISTANCE,
-        plan.OBLIQUE_SURVEY,
-        plan.TRIGGER_INTERVAL,
-        plan.CAMERA_MODE,
-        plan.VTOL_TRANSITION,
-        plan.DELAY,
-        plan.RETURN,
-        plan.SET_ROI_NEXT,
-        plan.SET_ROI_NONE,
-        plan.CONDITION_DELAY,
-        plan.CONDITION_DISTANCE,
-        plan.SET_ACTUATOR,
-    )
-)
 _ROI_NONE, _ROI_NEXT, _ROI_INDEX, _ROI_LOCATION = 0, 1, 2, 3
 _ROI_MODES = {
     True: (_ROI_LOCATION, _ROI_NONE),
@@ -105,7 +47,7 @@ class ItemError(ValueError):
 
 def accepts(command: int, positioned: bool) -> bool:
     """Return whether PX4 accepts ``command`` in a global frame (``positioned``), or else in the mission frame."""
-    return command in (_POSITIONED if positioned else _UNPOSITIONED)
+    return command in (plan.POSITIONED if positioned else plan.UNPOSITIONED)
 
 
 def parse(message: Any, integers: bool) -> PlanItem:
@@ -125,14 +67,14 @@ def parse(message: Any, integers: bool) -> PlanItem:
         command = plan.SET_ROI
         if not math.isfinite(message.param1) or int(message.param1) not in _ROI_MODES[positioned]:
             raise ItemError(mavlink.MAV_MISSION_INVALID_PARAM1, f"region of interest {message.param1} is not allowed")
-    params = _converted(command, (message.param1, message.param2, message.param3, message.param4))
+    params = _convert(command, (message.param1, message.param2, message.param3, message.param4))
     x, y = message.x, message.y
     if integers:
         x, y = (x / _SCALE, y / _SCALE) if positioned else (as_float32(x), as_float32(y))
     return PlanItem(command, message.frame, params, float(x), float(y), message.z, bool(message.autocontinue))
 
 
-def _converted(command: int, params: Params) -> Params:
+def _convert(command: int, params: Params) -> Params:
     """Return the parameters of an item with those that PX4 stores as integers converted."""
     a, b, c, d = params
     if command == plan.JUMP:
@@ -145,7 +87,7 @@ def _converted(command: int, params: Params) -> Params:
     return params
 
 
-def _stored(value: float, how: str) -> float:
+def _return_as(value: float, how: str) -> float:
     if how == "y":
         return value % 360.0 if math.isfinite(value) else math.nan
     if how == "f":
@@ -171,7 +113,7 @@ def write(item: PlanItem, seq: int, current: bool, kind: int, integers: bool, ta
     frame, params, x, y = item.frame, item.params, item.x, item.y
     if frame != FRAME_MISSION:
         frame = (_RELATIVE_INT if integers else _RELATIVE) if item.relative else (_GLOBAL_INT if integers else _GLOBAL)
-        a, b, c, d = (_stored(p, how) for p, how in zip(params, _POSITIONED[item.command], strict=True))
+        a, b, c, d = (_return_as(p, how) for p, how in zip(params, plan.POSITIONED[item.command], strict=True))
         params = a, b, c, d
         if integers:
             x, y = x * _SCALE, y * _SCALE

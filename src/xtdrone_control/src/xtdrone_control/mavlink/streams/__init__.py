@@ -1,0 +1,1 @@
+"""Telemetry: content of the messages, and the times at which each link sends them."""

@@ -8,11 +8,12 @@ upstream XTDrone's streams at 50 Hz. GPS_GLOBAL_ORIGIN is sent on change, at mos
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from xtdrone_native import mavlink_wire
 
-from xtdrone_control.mavlink.streams.esc_gimbal_traffic_telemetry import SILENT, silent, source
-from xtdrone_control.mavlink.streams.telemetry import Content, Telemetry, Values
+from xtdrone_control.autopilot.tables.reader import Converter, one_of, read_table
+from xtdrone_control.mavlink.streams.telemetry import Source, Telemetry, silent
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavlink.wire.frame_packing import Format
 
@@ -21,115 +22,45 @@ _LEAST_INTERVAL_US = 4000  # the autopilot's step
 _LARGEST_INTERVAL_US = (1 << 31) - 1  # largest value of MESSAGE_INTERVAL
 _FALLBACK_RATE = 1.0  # Hz, default requested for a message that has none
 
-Source = Callable[[], Content | list[Values] | None]
 Payloads = dict[int, bytes | list[bytes] | None]
 Convert = Callable[[mavlink_wire.Format, bytes], None]
 
-ONBOARD_RATES: dict[str, float] = {
-    "HEARTBEAT": 1.0,
-    "TIMESYNC": 10.0,
-    "ALTITUDE": 10.0,
-    "ATTITUDE": 100.0,
-    "ATTITUDE_QUATERNION": 50.0,
-    "ATTITUDE_TARGET": 10.0,
-    "BATTERY_STATUS": 0.5,
-    "DISTANCE_SENSOR": 10.0,
-    "ESC_INFO": 10.0,
-    "ESC_STATUS": 10.0,
-    "ESTIMATOR_STATUS": 1.0,
-    "EXTENDED_SYS_STATE": 5.0,
-    "GLOBAL_POSITION_INT": 50.0,
-    "GPS_GLOBAL_ORIGIN": 1.0,
-    "GPS_RAW_INT": 5.0,
-    "HIGHRES_IMU": 50.0,
-    "HOME_POSITION": 0.5,
-    "LINK_NODE_STATUS": 1.0,
-    "LOCAL_POSITION_NED": 30.0,
-    "ODOMETRY": 30.0,
-    "OPEN_DRONE_ID_LOCATION": 1.0,
-    "OPEN_DRONE_ID_SYSTEM": 1.0,
-    "OPTICAL_FLOW_RAD": 10.0,
-    "PING": 1.0,
-    "POSITION_TARGET_GLOBAL_INT": 10.0,
-    "POSITION_TARGET_LOCAL_NED": 10.0,
-    "RC_CHANNELS": 20.0,
-    "SCALED_PRESSURE": 1.0,
-    "SERVO_OUTPUT_RAW": 10.0,
-    "SYSTEM_TIME": 1.0,
-    "SYS_STATUS": 5.0,
-    "TIME_ESTIMATE_TO_TARGET": 1.0,
-    "UTM_GLOBAL_POSITION": 1.0,
-    "VFR_HUD": 10.0,
-    "VIBRATION": 0.5,
-}
 
-# sent while a gimbal is fitted
-_GIMBAL_RATES = {"GIMBAL_DEVICE_ATTITUDE_STATUS": 1.0, "GIMBAL_MANAGER_STATUS": 0.5, "MOUNT_ORIENTATION": 10.0}
+class _Row(NamedTuple):
+    """Row of ``tables/streams.csv``.
 
-_ORBIT_RATES = {"ORBIT_EXECUTION_STATUS": 5.0}  # sent in ORBIT
-_OBSTACLE_RATES = {"OBSTACLE_DISTANCE": 10.0}  # sent while collision prevention is in use
+    Attributes:
+        message: MAVLink name.
+        source: "vehicle" for the same content on all links, "link" for that of the link; "gimbal", "orbit" and
+            "obstacles" while a gimbal is fitted, in ORBIT, and while collision prevention is in use; "none" for streams
+            of PX4 v1.14 of what is not simulated: their intervals can be set, nothing is sent.
+        onboard, ground_station: default rates of links in the two modes, Hz; None: only on request.
+    """
 
-GCS_RATES: dict[str, float] = {
-    "HEARTBEAT": 1.0,
-    "ALTITUDE": 1.0,
-    "ATTITUDE": 50.0,
-    "ATTITUDE_QUATERNION": 50.0,
-    "ATTITUDE_TARGET": 50.0,
-    "BATTERY_STATUS": 0.5,
-    "DISTANCE_SENSOR": 0.5,
-    "ESC_INFO": 1.0,
-    "ESC_STATUS": 1.0,
-    "ESTIMATOR_STATUS": 0.5,
-    "EXTENDED_SYS_STATE": 1.0,
-    "GLOBAL_POSITION_INT": 50.0,
-    "GPS_GLOBAL_ORIGIN": 0.1,
-    "GPS_RAW_INT": 1.0,
-    "HOME_POSITION": 0.5,
-    "LINK_NODE_STATUS": 1.0,
-    "LOCAL_POSITION_NED": 50.0,
-    "OPEN_DRONE_ID_LOCATION": 1.0,
-    "OPEN_DRONE_ID_SYSTEM": 1.0,
-    "OPTICAL_FLOW_RAD": 10.0,
-    "PING": 0.1,
-    "POSITION_TARGET_GLOBAL_INT": 1.0,
-    "POSITION_TARGET_LOCAL_NED": 50.0,
-    "RC_CHANNELS": 20.0,
-    "SCALED_PRESSURE": 1.0,
-    "SERVO_OUTPUT_RAW": 50.0,
-    "SYS_STATUS": 1.0,
-    "TIME_ESTIMATE_TO_TARGET": 1.0,
-    "UTM_GLOBAL_POSITION": 0.5,
-    "VFR_HUD": 4.0,
-    "VIBRATION": 0.1,
-}
+    message: str
+    source: str
+    onboard: float | None
+    ground_station: float | None
 
-# available on request, without a default rate
-_OTHERS = (
-    "SCALED_IMU",
-    "MANUAL_CONTROL",
-    "ACTUATOR_CONTROL_TARGET",
-    "ACTUATOR_OUTPUT_STATUS",
-    "GIMBAL_MANAGER_INFORMATION",
-    *SILENT,
-    *_ORBIT_RATES,
-    *_OBSTACLE_RATES,
-)
-FORMATS: dict[int, Format] = {
-    f.number: f
-    for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_GIMBAL_RATES, *_OTHERS]))
-}
-LINK_MESSAGES = (
-    "PING",
-    "GPS_GLOBAL_ORIGIN",
-    "LINK_NODE_STATUS",
-    "HIGHRES_IMU",
-)  # specific to a link; all others to the vehicle
+
+def _rate(text: str) -> float | None:
+    return float(text) if text else None
+
+
+_SOURCES = one_of("vehicle", "link", "gimbal", "orbit", "obstacles", "none")
+_COLUMNS: dict[str, Converter] = {"message": str, "source": _SOURCES, "onboard": _rate, "ground_station": _rate}
+_ROWS = [_Row(*row) for row in read_table("streams", _COLUMNS)]
+ONBOARD_RATES = {row.message: row.onboard for row in _ROWS if row.onboard is not None}
+GCS_RATES = {row.message: row.ground_station for row in _ROWS if row.ground_station is not None}
+SILENT = frozenset(row.message for row in _ROWS if row.source == "none")
+LINK_MESSAGES = frozenset(row.message for row in _ROWS if row.source == "link")
+FORMATS = {f.number: f for f in (Format(row.message) for row in _ROWS)}
 HEARTBEAT = FORMATS[MESSAGE_ID["HEARTBEAT"]]
 _PAYLOAD_BYTES = 4000.0  # in a second: "mavlink start -r 4000" of PX4's payload link
 _FRAME_OVERHEAD = 12  # bytes of a MAVLink 2 frame without its payload
 
 
-def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
+def _scale(rates: dict[str, float], limit: float) -> dict[str, float]:
     """Return ``rates`` scaled by one factor to a load of at most ``limit`` bytes/s; HEARTBEAT keeps its rate."""
     load = {name: rate * (FORMATS[MESSAGE_ID[name]].size + _FRAME_OVERHEAD) for name, rate in rates.items()}
     beat = load["HEARTBEAT"]
@@ -137,14 +68,13 @@ def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
     return {name: rate if name == "HEARTBEAT" else rate * factor for name, rate in rates.items()}
 
 
-PAYLOAD_RATES: dict[str, float] = _scaled(ONBOARD_RATES, _PAYLOAD_BYTES)
-ONBOARD_RATES |= (
-    _GIMBAL_RATES | _ORBIT_RATES | _OBSTACLE_RATES
-)  # not on the payload link, whose scale they would change
-GCS_RATES |= _GIMBAL_RATES | _ORBIT_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5, "OBSTACLE_DISTANCE": 1.0}
+PAYLOAD_RATES = _scale(  # without the messages that are sent at times: they would change the scale
+    {row.message: row.onboard for row in _ROWS if row.onboard is not None and row.source in ("vehicle", "link")},
+    _PAYLOAD_BYTES,
+)
 
 
-def _allowed(interval_us: float) -> int:
+def _limit(interval_us: float) -> int:
     return round(min(max(interval_us, _LEAST_INTERVAL_US), _LARGEST_INTERVAL_US))
 
 
@@ -192,7 +122,7 @@ class Streams:
         self.active = False
         own = own or {}
         self._streams = {
-            number: _Stream(f, own.get(f.name, silent) if f.name in LINK_MESSAGES else source(telemetry, f.name),
+            number: _Stream(f, own.get(f.name, silent) if f.name in LINK_MESSAGES else telemetry.source(f.name),
                             f.name not in LINK_MESSAGES)
             for number, f in FORMATS.items()
         }  # fmt: skip
@@ -258,7 +188,7 @@ class Streams:
             return False
         if interval_us == 0:
             interval_us = round(1e6 / self._defaults.get(stream.format.name, _FALLBACK_RATE))
-        stream.interval_us = _NEVER_US if interval_us < 0 else _allowed(interval_us)
+        stream.interval_us = _NEVER_US if interval_us < 0 else _limit(interval_us)
         self._rebuild(now_us)
         return True
 

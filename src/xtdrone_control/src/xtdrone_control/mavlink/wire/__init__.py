@@ -1,0 +1,1 @@
+"""Wire format of MAVLink messages: dialect, decoding, packing."""

@@ -1,5 +1,7 @@
 """MAVLink message types: pymavlink's common dialect, and the messages of ``common.xml`` that it lacks.
 
+``tables/mavlink_messages.csv`` describes the latter: ``type name`` or ``type[count] name`` of each field.
+
 A message type describes the wire format of a message with the attributes of pymavlink's message classes: ``id``,
 ``msgname``, ``fieldnames``, ``ordered_fieldnames``, ``fieldtypes``, ``lengths``, ``crc_extra``, ``unpacker``.
 """
@@ -14,19 +16,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-_CODES = {
-    "char": "s",
-    "uint8_t": "B",
-    "int8_t": "b",
-    "uint16_t": "H",
-    "int16_t": "h",
-    "uint32_t": "I",
-    "int32_t": "i",
-    "uint64_t": "Q",
-    "int64_t": "q",
-    "float": "f",
-    "double": "d",
-}
+from xtdrone_control.autopilot.tables.reader import read_table
+
+_TYPES = "char uint8_t int8_t uint16_t int16_t uint32_t int32_t uint64_t int64_t float double"
+_CODES = dict(zip(_TYPES.split(), "sBbHhIiQqfd", strict=True))
 _FIELD = re.compile(r"(\w+?)(?:\[(\d+)\])? (\w+)")
 
 
@@ -93,80 +86,10 @@ def message_type(number: int, name: str, fields: str, extensions: str = "") -> M
     )
 
 
-_MISSING = (
-    message_type(
-        8,
-        "LINK_NODE_STATUS",
-        "uint64_t timestamp, uint8_t tx_buf, uint8_t rx_buf, uint32_t tx_rate, uint32_t rx_rate,"
-        "uint16_t rx_parse_err, uint16_t tx_overflows, uint16_t rx_overflows, uint32_t messages_sent,"
-        "uint32_t messages_received, uint32_t messages_lost",
-    ),
-    message_type(
-        290,
-        "ESC_INFO",
-        "uint8_t index, uint64_t time_usec, uint16_t counter, uint8_t count, uint8_t connection_type, uint8_t info,"
-        "uint16_t[4] failure_flags, uint32_t[4] error_count, int16_t[4] temperature",
-    ),
-    message_type(
-        291, "ESC_STATUS", "uint8_t index, uint64_t time_usec, int32_t[4] rpm, float[4] voltage, float[4] current"
-    ),
-    message_type(
-        300,
-        "PROTOCOL_VERSION",
-        "uint16_t version, uint16_t min_version, uint16_t max_version,"
-        "uint8_t[8] spec_version_hash, uint8_t[8] library_version_hash",
-    ),
-    message_type(
-        334,
-        "CELLULAR_STATUS",
-        "uint8_t status, uint8_t failure_reason, uint8_t type, uint8_t quality,"
-        "uint16_t mcc, uint16_t mnc, uint16_t lac",
-    ),
-    message_type(
-        380,
-        "TIME_ESTIMATE_TO_TARGET",
-        "int32_t safe_return, int32_t land, int32_t mission_next_item, int32_t mission_end, int32_t commanded_action",
-    ),
-    message_type(
-        395,
-        "COMPONENT_INFORMATION",
-        "uint32_t time_boot_ms, uint32_t general_metadata_file_crc, char[100] general_metadata_uri,"
-        "uint32_t peripherals_metadata_file_crc, char[100] peripherals_metadata_uri",
-    ),
-    message_type(397, "COMPONENT_METADATA", "uint32_t time_boot_ms, uint32_t file_crc, char[100] uri"),
-    message_type(
-        400, "PLAY_TUNE_V2", "uint8_t target_system, uint8_t target_component, uint32_t format, char[248] tune"
-    ),
-    message_type(
-        410,
-        "EVENT",
-        "uint8_t destination_component, uint8_t destination_system, uint32_t id, uint32_t event_time_boot_ms,"
-        "uint16_t sequence, uint8_t log_levels, uint8_t[40] arguments",
-    ),
-    message_type(411, "CURRENT_EVENT_SEQUENCE", "uint16_t sequence, uint8_t flags"),
-    message_type(
-        412,
-        "REQUEST_EVENT",
-        "uint8_t target_system, uint8_t target_component, uint16_t first_sequence, uint16_t last_sequence",
-    ),
-    message_type(
-        413,
-        "RESPONSE_EVENT_ERROR",
-        "uint8_t target_system, uint8_t target_component, uint16_t sequence, uint16_t sequence_oldest_available,"
-        "uint8_t reason",
-    ),
-)
-
-# messages whose extension fields pymavlink lacks
-_EXTENDED = (
-    message_type(
-        82,
-        "SET_ATTITUDE_TARGET",
-        "uint32_t time_boot_ms, uint8_t target_system, uint8_t target_component, uint8_t type_mask, float[4] q,"
-        "float body_roll_rate, float body_pitch_rate, float body_yaw_rate, float thrust",
-        "float[3] thrust_body",
-    ),
-)
+def _read_messages() -> dict[int, MessageType]:
+    """Return, by id, the messages that pymavlink lacks, and those whose extension fields it lacks."""
+    columns = {"id": int, "message": str, "fields": str, "extensions": str}
+    return {row[0]: message_type(*row) for row in read_table("mavlink_messages", columns)}
 
 
 class _MessageObject(mavlink.MAVLink_message):
@@ -188,7 +111,7 @@ class _MessageObject(mavlink.MAVLink_message):
         return bytes(self._pack(mav, self._kind.crc_extra, payload, force_mavlink1=force_mavlink1))
 
 
-MESSAGES: dict[int, Any] = {**mavlink.mavlink_map, **{entry.id: entry for entry in _MISSING + _EXTENDED}}
+MESSAGES: dict[int, Any] = {**mavlink.mavlink_map, **_read_messages()}
 MESSAGE_ID: dict[str, int] = {entry.msgname: number for number, entry in MESSAGES.items()}
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.estimator.origin import is_origin
+from xtdrone_control.autopilot.vehicle_view import is_origin
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavros.feeds import Feed
 from xtdrone_control.mavros.uas import Plugin, Uas

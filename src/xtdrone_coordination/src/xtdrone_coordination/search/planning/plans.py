@@ -22,7 +22,7 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.fleet import FleetError, parse_fleet, spawn_grid
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.settings import Settings, setting
 

@@ -20,7 +20,7 @@ from xtdrone_control.autopilot.navigator import plan as mission
 from xtdrone_control.cameras.pinhole import Pinhole
 from xtdrone_control.files import load_yaml, read_text
 from xtdrone_control.fleet import Vehicle, parse_fleet, spawn_grid
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.programs.node_command_line import speed_setting
 from xtdrone_control.settings import Settings, setting

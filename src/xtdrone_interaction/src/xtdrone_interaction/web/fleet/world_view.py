@@ -9,7 +9,7 @@ from typing import Any
 import rospy
 from xtdrone_msgs.msg import SceneModels
 
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.poses import Pose
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch

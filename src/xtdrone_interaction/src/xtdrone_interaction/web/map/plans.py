@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_control.settings import Settings, setting

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.files import read_bytes
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_sim.data_files import data_path
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.worlds.sdf.models.yaml_models import read_models

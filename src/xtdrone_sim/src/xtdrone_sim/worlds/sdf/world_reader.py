@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.files import read_bytes
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.poses import Pose
 from xtdrone_sim.shapes.visual import Collision, Visual
 from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import is_plane, read_collisions, read_visuals

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.poses import Pose
 from xtdrone_control.rotation import Vector
 from xtdrone_sim.descriptions import ModelError

@@ -1,11 +1,10 @@
-"""Timeouts of the aiding sources: times without samples or fusion, and their consequences.
+"""Horizontal aiding, and timeouts of the sources: times without samples or fusion, and their consequences.
 
 After a timeout a source stops, the state is reset to it, or the estimate counts as dead reckoning.
 """
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import other_horizontal_aiding
 from xtdrone_control.autopilot.state import HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION
 from xtdrone_control.kernel import kernel
 
@@ -79,3 +78,16 @@ def _clear_ratios(ratio, e):
         ratio.vision_hgt = 0.0
     if not e.vision_yaw_used:
         ratio.vision_yaw = 0.0
+
+
+@kernel
+def other_horizontal_aiding(e):
+    """Return whether a source other than GPS aids the horizontal state."""
+    return e.vision_position_used or e.vision_velocity_used or e.flow_used
+
+
+@kernel
+def mark_located(e, s):
+    """Mark the horizontal state as valid and fused now, after a reset to a source."""
+    e.located = e.position_valid = e.velocity_valid = 1
+    e.time_last_pos_fuse_us = e.time_last_vel_fuse_us = s.time_us

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
-    other_horizontal_aiding,
-)
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import (
     AIDING_US,
     HEIGHT_RESET_US,
     IMU_STOP_US,
     SENSOR_STOP_US,
     is_recent,
+    other_horizontal_aiding,
     stop_timed_out,
 )
-from xtdrone_control.autopilot.estimator.aiding.sources.fake_pos_control import hold_position
+from xtdrone_control.autopilot.estimator.fusion import POS, fuse_state
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import rotate
@@ -44,7 +42,7 @@ def update_status(e, s, p, work):
     if aided:
         e.last_position[0], e.last_position[1] = e.position[0], e.position[1]
     if not (e.gps_used or other_horizontal_aiding(e)):
-        hold_position(e, now, p, work)
+        _hold_position(e, now, p, work)
     _update_faults(e, now)
     sound = e.fault_flags & (FAULT_NOT_FINITE | FAULT_NO_IMU) == 0
     e.attitude_valid = sound
@@ -108,3 +106,18 @@ def _flags(e):
     flags |= _HEIGHT_OVER_GROUND if e.terrain_valid else 0
     glitch = e.gps_used and (e.test_ratio.vel > 1.0 or e.test_ratio.pos > 1.0)
     return flags | (_GPS_GLITCH if glitch else 0)
+
+
+_HOLD_PERIOD_US = 200_000  # PX4: fake position at 5 Hz
+
+
+@kernel
+def _hold_position(e, now, p, work):
+    """Fuse the last position loosely while no source aids, which bounds the tilt error (PX4: fake_pos_control)."""
+    if not e.dead_reckoning or now % _HOLD_PERIOD_US:
+        return
+    variance = p.ekf2_noaid_noise**2
+    for i in range(2):
+        innovation = e.last_position[i] - e.position[i]
+        if fuse_state(e, POS + i, innovation, variance, 3.0, work) > 1.0:
+            e.last_position[i] = e.position[i]

@@ -1,9 +1,13 @@
-"""Flight tasks of the AUTO modes: fly to a goal, land, descend without a position.
+"""Flight tasks of the AUTO modes: fly to a goal, land, descend without a position, orbit.
 
-After PX4's FlightTaskAuto and FlightTaskDescend.
+After PX4's FlightTaskAuto, FlightTaskDescend and FlightTaskOrbit. The flight to a goal that moves is planned in its
+frame, in which it stands still: PX4 v1.14 flies to each new position of a landing target as to a goal at rest, and
+therefore lags behind a moving one; its later vision_target_estimator also provides the target's velocity, as here.
 """
 
 from __future__ import annotations
+
+import math
 
 from xtdrone_control.autopilot.flight_tasks.motion_planning.jerk_limited_velocity import stopping_speed
 from xtdrone_control.autopilot.flight_tasks.motion_planning.lookahead_and_speed_on_legs import (
@@ -19,7 +23,12 @@ from xtdrone_control.autopilot.flight_tasks.motion_planning.smoothing import (
     update_braking,
     vertical_limits,
 )
-from xtdrone_control.autopilot.state import TAKEOFF_RAMPUP
+from xtdrone_control.autopilot.state import (
+    ORBIT_ALONG_CIRCLE,
+    ORBIT_INITIAL_HEADING,
+    ORBIT_UNCONTROLLED,
+    TAKEOFF_RAMPUP,
+)
 from xtdrone_control.kernel import kernel
 
 _TAKEOFF_CLIMB = 0.3  # m/s, climb rate above which a takeoff starts
@@ -81,3 +90,67 @@ def descend_task(c, p):
     c.task_acceleration[1] = 0.0
     c.task_velocity[2] = p.mpc_land_speed
     c.task_yaw_rate = 0.0
+
+
+@kernel
+def move_with_goal(c, s, dt):
+    """Move goal, legs and smoothed path with the goal's motion; the path's velocity is then relative to the goal.
+
+    A change of the goal's velocity leaves the velocity over ground unchanged.
+    """
+    for i in range(2):
+        if s.goal_velocity[i] != c.goal_velocity[i]:
+            c.path.velocity[i] -= s.goal_velocity[i] - c.goal_velocity[i]
+            c.goal_velocity[i] = s.goal_velocity[i]
+        if c.goal_velocity[i] != 0.0:
+            moved = c.goal_velocity[i] * dt
+            s.goal_position[i] += moved
+            c.path.position[i] += moved
+            c.leg_start[i] += moved
+            c.leg_goal[i] += moved
+            c.leg_onward[i] += moved
+            c.way_start[i] += moved
+            c.way_goal[i] += moved
+            c.way_onward[i] += moved
+
+
+@kernel
+def add_goal_velocity(c):
+    """Convert the velocity of the trajectory setpoint back to a velocity over ground."""
+    for i in range(2):
+        if c.goal_velocity[i] != 0.0:
+            c.task_velocity[i] += c.goal_velocity[i]
+
+
+_NAN = math.nan
+
+
+@kernel
+def _orbit_heading(s, x, y):
+    """Return the heading (rad; NaN: not controlled) at the unit vector (x, y) from the centre to the vehicle."""
+    if s.orbit_yaw == ORBIT_UNCONTROLLED:
+        return _NAN
+    if s.orbit_yaw == ORBIT_INITIAL_HEADING:
+        return s.orbit_heading
+    if s.orbit_yaw == ORBIT_ALONG_CIRCLE:
+        sign = 1.0 if s.orbit_speed > 0.0 else -1.0
+        return math.atan2(sign * x, -sign * y)
+    return math.atan2(-y, -x)
+
+
+@kernel
+def orbit_task(c, s, e, p, dt):
+    """Fly along the circle, returning to it at 1 m/s per metre (PX4 FlightTaskOrbit::generate_circle_setpoints)."""
+    x, y = e.position[0] - s.orbit_centre[0], e.position[1] - s.orbit_centre[1]
+    distance = math.hypot(x, y)
+    x, y = (x / distance, y / distance) if distance > 1e-6 else (1.0, 0.0)
+    pull = s.orbit_radius - distance
+    c.task_velocity[0] = -y * s.orbit_speed + x * pull
+    c.task_velocity[1] = x * s.orbit_speed + y * pull
+    inwards = s.orbit_speed * s.orbit_speed / s.orbit_radius
+    c.task_acceleration[0] = -x * inwards
+    c.task_acceleration[1] = -y * inwards
+    c.task_position[2] = s.goal_position[2]
+    heading = _orbit_heading(s, x, y)
+    if not math.isnan(heading):
+        smooth_yaw(c, heading, p, dt)

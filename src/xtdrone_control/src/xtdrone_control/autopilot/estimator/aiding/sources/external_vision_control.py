@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
+from xtdrone_control.autopilot.estimator.aiding.source_timeouts import (
+    AIDING_US,
+    VISION_STOP_US,
+    is_recent,
     mark_located,
+    stop_vision,
 )
-from xtdrone_control.autopilot.estimator.aiding.mounting import to_origin
-from xtdrone_control.autopilot.estimator.aiding.source_timeouts import AIDING_US, VISION_STOP_US, is_recent, stop_vision
 from xtdrone_control.autopilot.estimator.aiding.sources.height_control import (
     OFFSET_GAIN,
     fuse_height,
@@ -26,6 +28,7 @@ from xtdrone_control.autopilot.estimator.fusion import (
     reset_velocity,
     reset_vertical_velocity,
     reset_yaw,
+    to_origin,
 )
 from xtdrone_control.autopilot.state import HEIGHT_VISION, VISION_BODY, VISION_FRD, VISION_NED
 from xtdrone_control.kernel import kernel

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
+from xtdrone_control.autopilot.estimator.aiding.source_timeouts import (
+    HEIGHT_RESET_US,
+    RESET_US,
+    is_recent,
     mark_located,
 )
-from xtdrone_control.autopilot.estimator.aiding.mounting import to_origin
-from xtdrone_control.autopilot.estimator.aiding.source_timeouts import HEIGHT_RESET_US, RESET_US, is_recent
 from xtdrone_control.autopilot.estimator.aiding.sources.range_control import (
     LEAST_TERRAIN_VARIANCE,
     LEVEL_COSINE,
     tilt_cosine,
 )
-from xtdrone_control.autopilot.estimator.fusion import fuse_flow, reset_position, reset_velocity
+from xtdrone_control.autopilot.estimator.fusion import fuse_flow, reset_position, reset_velocity, to_origin
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain, rotate, yaw_of
 

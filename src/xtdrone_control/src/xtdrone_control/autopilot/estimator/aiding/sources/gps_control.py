@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.horizontal_aiding import (
+from xtdrone_control.autopilot.estimator.aiding.source_timeouts import (
+    RESET_US,
+    is_recent,
     mark_located,
     other_horizontal_aiding,
 )
-from xtdrone_control.autopilot.estimator.aiding.mounting import to_origin
-from xtdrone_control.autopilot.estimator.aiding.source_timeouts import RESET_US, is_recent
 from xtdrone_control.autopilot.estimator.aiding.sources.height_control import fuse_height
 from xtdrone_control.autopilot.estimator.fusion import (
     POS,
@@ -18,6 +18,7 @@ from xtdrone_control.autopilot.estimator.fusion import (
     reset_position,
     reset_velocity,
     reset_vertical_velocity,
+    to_origin,
 )
 from xtdrone_control.autopilot.state import HEIGHT_GPS
 from xtdrone_control.geodesy import projection

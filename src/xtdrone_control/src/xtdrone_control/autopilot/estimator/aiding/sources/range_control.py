@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding.mounting import to_origin
 from xtdrone_control.autopilot.estimator.aiding.source_timeouts import HEIGHT_RESET_US, is_recent
 from xtdrone_control.autopilot.estimator.aiding.sources.height_control import fuse_height
+from xtdrone_control.autopilot.estimator.fusion import to_origin
 from xtdrone_control.autopilot.state import HEIGHT_RANGE
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain

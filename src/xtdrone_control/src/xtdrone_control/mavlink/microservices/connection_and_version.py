@@ -1,13 +1,52 @@
-"""Messages on request about the autopilot: AUTOPILOT_VERSION, PROTOCOL_VERSION, flight and storage information."""
+"""The connection (HEARTBEAT, PING, TIMESYNC, SETUP_SIGNING); versions, flight and storage on request.
+
+Frames are sent unsigned, and the signatures of received frames are ignored, as by PX4 v1.14 before a key is set up;
+here none can be set up.
+"""
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.autopilot.commander.commander import WARNING
 from xtdrone_control.mavlink.client_link import Link
 from xtdrone_control.mavlink.service_base import Service, Vehicle
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavlink.wire.frame_packing import Format
+
+_GCS_TYPE = 6  # MAV_TYPE_GCS
+
+
+class ConnectionService(Service):
+    """Reports ground stations to the commander, replies to PING and TIMESYNC, warns once about a key for signing."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {
+        "HEARTBEAT": "_heartbeat",
+        "TIMESYNC": "_timesync",
+        "PING": "_ping",
+        "SETUP_SIGNING": "_setup_signing",
+    }
+    _warned = False
+
+    def _heartbeat(self, _link: Link, m: Any) -> None:
+        if m.type == _GCS_TYPE:
+            self.vehicle.commander.gcs_heartbeat()
+
+    def _timesync(self, link: Link, m: Any) -> None:
+        if m.tc1 == 0:
+            link.send_message(mavlink.MAVLink_timesync_message(self.vehicle.now_us * 1000, m.ts1))
+
+    def _ping(self, link: Link, m: Any) -> None:
+        if m.target_system == 0 and m.target_component == 0:
+            link.send_message(mavlink.MAVLink_ping_message(m.time_usec, m.seq, *link.sender))
+
+    def _setup_signing(self, _link: Link, _m: Any) -> None:
+        if not self._warned:
+            self._warned = True
+            self.vehicle.commander.say(WARNING, "MAVLink signing is not supported")
+
 
 PX4_VERSION = 0x010E03FF  # release 1.14.3, the modelled version
 _MAVLINK_2, _MAVLINK_1 = 200, 100
@@ -35,22 +74,9 @@ class VersionService(Service):
 
     def _autopilot_version(self, link: Link) -> None:
         system = self.vehicle.system_id
-        link.send_message(
-            mavlink.MAVLink_autopilot_version_message(
-                self.vehicle.capabilities,
-                PX4_VERSION,
-                PX4_VERSION,
-                0,
-                _BOARD_VERSION,
-                _NO_HASH,
-                _NO_HASH,
-                _NO_HASH,
-                0,
-                0,
-                system,
-                [*system.to_bytes(2, "big"), *[0] * 16],
-            )
-        )
+        versions = PX4_VERSION, PX4_VERSION, 0, _BOARD_VERSION, _NO_HASH, _NO_HASH, _NO_HASH, 0, 0
+        uid = [*system.to_bytes(2, "big"), *[0] * 16]
+        link.send_message(mavlink.MAVLink_autopilot_version_message(self.vehicle.capabilities, *versions, system, uid))
 
     def _protocol_version(self, link: Link) -> None:
         values = (_MAVLINK_2, _MAVLINK_1, _MAVLINK_2, *_NO_HASH, *_NO_HASH)
