@@ -10,10 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord
-from xtdrone_interaction.recording.positions import FleetTrack
-from xtdrone_interaction.recording.recorded_flight import Change, RecordError
-from xtdrone_interaction.report.compare_simulators import (
+from xtdrone_interaction.missions.formation.compare_simulators import (
     FULL,
     as_data,
     compare,
@@ -22,6 +19,9 @@ from xtdrone_interaction.report.compare_simulators import (
     same_slots,
     save_pictures,
 )
+from xtdrone_interaction.missions.formation.record import FormationRecord
+from xtdrone_interaction.recording.positions import FleetTrack
+from xtdrone_interaction.recording.recorded_flight import Change, RecordError
 
 GRID = np.array([[3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 3.0, 0.0]])
 LINE = np.array([[0.0, 2.0, 0.0], [0.0, 4.0, 0.0], [0.0, 6.0, 1.0]])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_interaction.crossing.formation_crossing import FORMED_ERROR, FormationCrossing, Member
-from xtdrone_interaction.metrics.missions.formation_crossing_metrics import formation_figures
-from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord
+from xtdrone_interaction.missions.crossing.metrics import formation_figures
+from xtdrone_interaction.missions.crossing.state_machine import FORMED_ERROR, FormationCrossing, Member
+from xtdrone_interaction.missions.fleet_record import CrossingRecord
 
 PERIOD = 0.1  # s
 

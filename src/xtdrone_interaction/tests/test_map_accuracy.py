@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from xtdrone_interaction.metrics.map_accuracy import map_accuracy
-from xtdrone_interaction.metrics.missions.map_report import joined, read_map, together
-from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory
-from xtdrone_interaction.metrics.true_surfaces import Sight, TrueWorld
+from xtdrone_interaction.metrics.odometry_errors import Trajectory
+from xtdrone_interaction.missions.map_report import joined, read_map, together
+from xtdrone_interaction.missions.true_surfaces import Sight, TrueWorld, map_accuracy
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_sim.rays.surface_points import distances_from, points_on
 from xtdrone_sim.rays.surfaces import of_shape, of_triangles

@@ -15,15 +15,15 @@ from matplotlib import image
 from rich.console import Console
 from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 
-from xtdrone_interaction.formation.distances import least_distances, offsets_from_message
-from xtdrone_interaction.formation.flight_criteria import CRITERIA, SETTLED_ERROR
-from xtdrone_interaction.formation.shared_topics_and_names import ESTIMATE, TRUTH
-from xtdrone_interaction.metrics.missions import formation_metrics as reports
-from xtdrone_interaction.pictures.missions.formation_pictures import figures
+from xtdrone_interaction.missions.formation import metrics as reports
+from xtdrone_interaction.missions.formation.criteria import CRITERIA, SETTLED_ERROR
+from xtdrone_interaction.missions.formation.figures import figures
+from xtdrone_interaction.missions.formation.record import FormationRecord, read_formation
 from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation
+from xtdrone_interaction.recording.distances import least_distances, offsets_from_message
 from xtdrone_interaction.recording.positions import FleetTrack, regular_times
 from xtdrone_interaction.recording.recorded_flight import Change, RecordError
+from xtdrone_interaction.recording.topics import ESTIMATE, TRUTH
 from xtdrone_interaction.report.printed_results import print_formation
 
 

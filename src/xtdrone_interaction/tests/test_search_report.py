@@ -11,9 +11,9 @@ import pytest
 from rich.console import Console
 from shapely.geometry import box
 
-from xtdrone_interaction.metrics.missions.search_metrics import make_report
-from xtdrone_interaction.pictures.missions.search_views import Views
-from xtdrone_interaction.recording.missions.search_record import CUT_SHORT, SearchRecord, Sight, read_search
+from xtdrone_interaction.missions.search.camera_views import Views
+from xtdrone_interaction.missions.search.metrics import make_report
+from xtdrone_interaction.missions.search.record import CUT_SHORT, SearchRecord, Sight, read_search
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.report.printed_results import print_search
 
@@ -127,7 +127,7 @@ def test_a_missing_bag_is_rejected(tmp_path: Path) -> None:
 
 
 def test_the_map_shows_find_and_ways(tmp_path: Path) -> None:
-    from xtdrone_interaction.pictures.missions.search_map import save_map
+    from xtdrone_interaction.missions.search.figures import save_map
 
     found = {"event": "confirmed", "time": 30.0, "vehicle": "typhoon_h480_0", "position": [10.0, 0.0]}
     region = box(-10.0, -40.0, 120.0, 40.0).difference(box(50.0, -5.0, 60.0, 5.0))
