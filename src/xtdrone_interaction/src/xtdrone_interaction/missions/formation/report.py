@@ -13,6 +13,7 @@ from xtdrone_interaction.missions.formation.metrics import make_report, measure
 from xtdrone_interaction.missions.formation.record import FormationRecord, formation_of, read_formation
 from xtdrone_interaction.missions.mission import FlightReport, Mission
 from xtdrone_interaction.pictures.picture_style import NamedFigure
+from xtdrone_interaction.recording.flight_events import EVENTS_FILE
 from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.recorded_flight import Recording
 from xtdrone_interaction.recording.topics import EVENTS_TOPIC, PATTERN_TOPIC, SEARCH_EVENTS_TOPIC
@@ -32,8 +33,8 @@ class FormationMission(Mission):
     results = ("comparison_*.png",)
 
     def recognises(self, file: Path) -> bool:
-        """Return whether a recording has the topics of a formation flight, or cannot be read: this tells why."""
-        if file.suffix != ".bag" or super().recognises(file):
+        """Return whether a recording has a director's events, or cannot be read: reading it then tells why."""
+        if file.suffix != ".bag" or super().recognises(file) or (file.parent / EVENTS_FILE).is_file():
             return True
         try:
             topics = read_bag([file], wanted=lambda name: False).topics
