@@ -181,10 +181,10 @@ def _fly(
     """Fly once, showing the progress; return a failed flight, too.
 
     Args:
-        settings: of the flight.
-        film: whether to open a window.
-        console: for the progress.
-        like: if given, fly in full physics with the assignments of this flight.
+        settings: Settings of the flight.
+        film: Film and window.
+        console: Console for the progress.
+        like: If given, fly in full physics with the assignments of this flight.
     """
     full = like is not None
     leader = None
@@ -267,10 +267,10 @@ def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -
     """Fly in a live window until the flight ends or the window is closed; print a note if none can be opened.
 
     Args:
-        swarm: the vehicles to show.
-        turns: steps of the flight.
-        speed: real-time factor, 0 for unlimited.
-        display: prints the note.
+        swarm: Vehicles to show.
+        turns: Turns of the flight.
+        speed: Real-time factor, 0 for unlimited.
+        display: Display that prints the note.
     """
     from xtdrone_swarm.view import WindowError  # imports Matplotlib
     from xtdrone_swarm.view.view_of_swarm import play
@@ -308,8 +308,10 @@ def _compare_and_save(
     try:
         if settings.compare or settings.compare_with:
             _add_comparison(made, record, *_full_flight(record, settings, console), console)
-    finally:
-        status = save_report(made, settings.out, console, film.file)
+    except (DemoError, RecordError):
+        save_report(made, settings.out, console)
+        raise
+    status = save_report(made, settings.out, console, film.file)
     return 1 if film.file is not None and not film.file.is_file() else status
 
 

@@ -26,12 +26,12 @@ from xtdrone_interaction.missions.demo import (
     fly_directed,
     take_place,
 )
+from xtdrone_interaction.missions.landing.metrics import ROBOT, TYPE
 from xtdrone_interaction.monitoring.progress_display import Display
 
 if TYPE_CHECKING:
     from xtdrone_interaction.missions.mission import Mission
 
-TYPE, ROBOT = "iris_landing_camera", "ugv_0"
 _SPAWN = (0.0, 3.0)  # m, of the UAV
 _AWAY = 11.0  # m, of the robot at the start: out of sight
 _ASIDE = 0.12  # rad, maximum angle between its heading and the UAV

@@ -13,6 +13,7 @@ from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.recording.series_in_bounded_memory import Array
 from xtdrone_interaction.report.report_json import versions
 
+TYPE, ROBOT = "iris_landing_camera", "ugv_0"
 LIMIT = 0.15  # m, of the touchdown's error on a robot at up to 1 m/s
 _AT_REST = 0.02  # m above the height at which the UAV stays
 _SPAN = 0.1  # s before the touchdown over which velocities are taken

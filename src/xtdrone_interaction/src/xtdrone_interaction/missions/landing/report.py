@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from xtdrone_interaction.missions.landing.cli import ROBOT, TYPE
 from xtdrone_interaction.missions.landing.figures import figures
-from xtdrone_interaction.missions.landing.metrics import make_report, read_landing
+from xtdrone_interaction.missions.landing.metrics import ROBOT, TYPE, make_report, read_landing
 from xtdrone_interaction.missions.mission import FlightReport, Mission
 from xtdrone_interaction.recording.flight_events import EVENTS_FILE, read_events
 from xtdrone_interaction.report.html_page import ReportPage
