@@ -13,7 +13,6 @@ from typing import Any
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction import command_options
-from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.launching.scripted_launch import (
     NODE_PATIENCE,
@@ -25,6 +24,7 @@ from xtdrone_interaction.launching.scripted_launch import (
     launch_environment,
     log_text,
 )
+from xtdrone_interaction.recording.flight_events import read_events
 
 TYPE = "iris"
 Event = dict[str, Any]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from xtdrone_interaction import cli
-from xtdrone_interaction.demos.explore_demo import unsaved_maps
+from xtdrone_interaction.missions.exploration.report import unsaved_maps
 
 pytest.importorskip("rospy")
 

@@ -23,7 +23,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.patterns import with_leader
 from xtdrone_interaction.command_options import OptionError, check_vehicle_ports
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation
+from xtdrone_interaction.missions.formation.record import FormationRecord, read_formation
 
 FLEET = "iris:6"
 FLIGHT_LIMIT = 600.0  # s of wall time

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from xtdrone_interaction import cli
-from xtdrone_interaction.landing.robot_start import robot_start
-from xtdrone_interaction.landing.search_path import Spiral
+from xtdrone_interaction.missions.landing.cli import robot_start
+from xtdrone_interaction.missions.landing.director import Spiral
 
 pytest.importorskip("rospy")
 

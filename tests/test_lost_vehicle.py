@@ -21,7 +21,7 @@ from rospy import Time
 from std_srvs.srv import Empty
 from xtdrone_msgs.srv import Step
 
-from xtdrone_interaction.formation.formation_mission import COMMAND_LIMIT
+from xtdrone_interaction.missions.formation.state_machine import COMMAND_LIMIT
 
 FLIGHT_LIMIT = 300.0  # s of wall time
 COMMUNICATION, FOLLOWER = "multirotor_communication.py iris {} ", "follower_consensus.py iris {} "

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from xtdrone_control.plans import qgc_plan
-from xtdrone_interaction.recording.missions.search_record import SearchRecord, read_search
+from xtdrone_interaction.missions.search.record import SearchRecord, read_search
 
 NAMES = ("typhoon_h480_0", "typhoon_h480_1")
 REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\n"

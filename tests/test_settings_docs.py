@@ -15,9 +15,9 @@ from xtdrone_coordination.search.search_settings import MissionSettings
 from xtdrone_interaction.bridges.foxglove.foxglove_node import FoxgloveSettings
 from xtdrone_interaction.bridges.ros2.ros2_node import Ros2Settings
 from xtdrone_interaction.bridges.rosbridge.rosbridge_node import RosbridgeSettings
-from xtdrone_interaction.crossing.crossing_mission import CrossingSettings
-from xtdrone_interaction.formation.formation_director import DirectorSettings
-from xtdrone_interaction.landing.landing_director import LandingSettings
+from xtdrone_interaction.missions.crossing.state_machine import CrossingSettings
+from xtdrone_interaction.missions.formation.director import DirectorSettings
+from xtdrone_interaction.missions.landing.director import LandingSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
 from xtdrone_interaction.web.station_settings import StationSettings
 from xtdrone_perception.detection.detector import DetectorSettings

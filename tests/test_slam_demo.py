@@ -12,7 +12,7 @@ import pytest
 from conftest import START_LIMIT, WALL_LIMIT
 
 from xtdrone_interaction import cli
-from xtdrone_interaction.demos.slam_demo import SCRIPT
+from xtdrone_interaction.missions.slam.cli import SCRIPT
 
 pytest.importorskip("rospy")
 

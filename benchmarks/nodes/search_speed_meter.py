@@ -43,7 +43,7 @@ from xtdrone_msgs.msg import ObjectsOnGround
 from benchmarks.process_use import CpuSample, memory, process_tree
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_control.programs.plain_node import init_plain_node
-from xtdrone_interaction.recording.missions.search_record import PROGRESS_TOPIC
+from xtdrone_interaction.recording.topics import SEARCH_PROGRESS_TOPIC
 
 _SEARCHES = {"searching", "second look", "back to its lane"}  # states of a searching vehicle
 _OVER = {"returning", "finished"}  # phases
@@ -189,7 +189,7 @@ def main() -> int:
     for name in names:
         rospy.Subscriber(f"/xtdrone/{name}/objects", ObjectsOnGround, partial(_on_objects, pictures, name))
     rospy.Subscriber(
-        PROGRESS_TOPIC, String, lambda message: messages.put(Progress.read(message.data, time.perf_counter()))
+        SEARCH_PROGRESS_TOPIC, String, lambda message: messages.put(Progress.read(message.data, time.perf_counter()))
     )
     with (out / "events.jsonl").open("w", encoding="utf-8") as events:
         return SearchProbe(window, pictures, events).run(_until_shutdown(messages))

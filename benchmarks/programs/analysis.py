@@ -110,6 +110,7 @@ def measure(megabytes: int, folder: Path) -> dict[str, Any]:
     """
     from rich.console import Console
 
+    from xtdrone_interaction.missions.formation.report import find_formation
     from xtdrone_interaction.recording.flight_from_bag import read_bag
     from xtdrone_interaction.report.analyse import analyse
 
@@ -127,7 +128,7 @@ def measure(megabytes: int, folder: Path) -> dict[str, Any]:
         seconds, cpu = time.perf_counter() - began, time.process_time() - worked
         memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         began = time.perf_counter()
-        analyse([bag], folder, Console(file=sys.stderr))
+        analyse([bag], folder, Console(file=sys.stderr), find=find_formation)
         report = time.perf_counter() - began
     finally:
         bag.unlink(missing_ok=True)

@@ -24,7 +24,7 @@ from std_msgs.msg import Float32MultiArray, Header, Int32MultiArray
 from benchmarks.process_use import CpuSample
 from benchmarks.programs.program_frame import Column, Row, run
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction.formation.shared_topics_and_names import PATTERN_TOPIC, TOPOLOGY_TOPIC
+from xtdrone_interaction.recording.topics import PATTERN_TOPIC, TOPOLOGY_TOPIC
 from xtdrone_interaction.rviz.films.film_options import film_settings
 from xtdrone_interaction.rviz.films.messages_from_bag import Timed
 from xtdrone_interaction.rviz.films.playback import play

@@ -33,7 +33,6 @@ from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError, patterns_setting, seed_setting, vehicles_setting
 from xtdrone_interaction.console import PatientConsole
-from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.launching.scripted_launch import (
     NODE_PATIENCE,
@@ -45,6 +44,7 @@ from xtdrone_interaction.launching.scripted_launch import (
     launch_command,
     launch_environment,
 )
+from xtdrone_interaction.recording.flight_events import read_events
 
 TYPE = "iris"
 _POLL = 0.2  # s of wall time between polls of signals and progress

@@ -23,12 +23,14 @@ from pathlib import Path
 
 from xtdrone_interaction import command_options
 from xtdrone_interaction.console import PatientConsole
-from xtdrone_interaction.demos.formation import formation_demo
-from xtdrone_interaction.demos.formation.formation_demo import DemoSettings
-from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.process_tree import ProcessTree, descendants, end_descendants
 from xtdrone_interaction.launching.supervised_launch import DemoError, run_flight
+from xtdrone_interaction.missions.formation import cli as formation_cli
+from xtdrone_interaction.missions.formation.cli import FormationSettings
+from xtdrone_interaction.missions.mission import make_report, save_report
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
+from xtdrone_interaction.recording.flight_events import read_events
+from xtdrone_interaction.report.html_page import print_page
 
 NODES = (
     "simulator",
@@ -51,7 +53,7 @@ _REACH_LIMIT = 300.0  # s of wall time until the phase begins
 _END_LIMIT = 420.0  # s of wall time until the flight has ended
 _SETTLE = 1.0  # s of wall time in a phase before the signal
 _WORDS = 6  # last lines of the demo's output
-_SETTINGS = DemoSettings(
+_SETTINGS = FormationSettings(
     n=2, type="iris", patterns=("cube",), pattern_file="", processes="per_uav",
     follower=command_options.DEFAULT_FOLLOWER,
     follower_class="", control="vel", avoidance="own", clearance=3.0, world="empty", seed=0, speed=0.0, out=Path(),
@@ -87,7 +89,7 @@ class Case:
 def fly(out: Path) -> int:
     """Fly the demo as its command does, with a short hang limit; return its exit status."""
     settings = replace(_SETTINGS, out=out, master_port=command_options.free_port())
-    flight = formation_demo.flight(settings)
+    flight = formation_cli.flight(settings)
     flight = replace(flight, arguments={**flight.arguments, "hang_limit": HANG_LIMIT})
     console = PatientConsole()
 
@@ -95,7 +97,9 @@ def fly(out: Path) -> int:
         last = flight.events()[-1]
         if last["event"] == "failed":
             raise DemoError(last["reason"])
-        return formation_demo.report_flight(out / flight.bag, {}, console, list(ended_nodes.found.values()))
+        made = make_report(formation_cli.load_mission(), out / flight.bag, {}, list(ended_nodes.found.values()))
+        print_page(made.page, console)
+        return save_report(made, out, console)
 
     return run_flight(flight, console, conclude)
 

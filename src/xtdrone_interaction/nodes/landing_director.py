@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Land a UAV on a moving ground robot: ``landing_director.py iris_landing_camera_0``.
 
-Topics: see ``landing.landing_director``; parameters: ``LandingSettings`` there, see docs/settings.md.
+Topics: see ``missions.landing.director``; parameters: ``LandingSettings`` there, see docs/settings.md.
 
 Exit status: 0 after a landing on the tags, 1 after a landing elsewhere, 2 for invalid values.
 """
@@ -16,8 +16,7 @@ import rospy
 from xtdrone_control.drone.script_node import connect
 from xtdrone_control.programs.node_command_line import ArgumentError, run_program
 from xtdrone_control.programs.under_roslaunch import end_launch
-from xtdrone_interaction.formation.formation_director import open_events
-from xtdrone_interaction.landing.landing_director import LandingDirector, LandingSettings, direct
+from xtdrone_interaction.missions.landing.director import LandingDirector, LandingSettings, direct
 
 USAGE = "landing_director.py VEHICLE   (as iris_landing_camera_0)"
 
@@ -27,13 +26,11 @@ def main(arguments: Sequence[str]) -> None:
     if len(arguments) != 1:
         raise ArgumentError(f"arguments: {list(arguments)} are not allowed, one vehicle")
     with connect(arguments[0], node="landing_director") as drone:
-        settings = LandingSettings.from_parameters(rospy.get_param)
-        events = open_events(settings.out)
+        director = LandingDirector(arguments[0], LandingSettings.from_parameters(rospy.get_param))
         try:
-            status = direct(LandingDirector(arguments[0], settings, events), drone)
+            status = direct(director, drone)
         finally:
-            if events is not None:
-                events.close()
+            director.reporter.close()
     if status:
         sys.exit(status)
     end_launch()

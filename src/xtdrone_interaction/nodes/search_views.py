@@ -29,8 +29,8 @@ from std_msgs.msg import String
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_interaction.pictures.missions.search_views import Picture, Views
-from xtdrone_interaction.recording.missions.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.missions.search.camera_views import Picture, Views
+from xtdrone_interaction.recording.topics import SEARCH_EVENTS_TOPIC, SEARCH_PROGRESS_TOPIC
 from xtdrone_swarm.view.film import FilmError, FilmWriter
 
 _RATE = 2.0  # Hz of simulated time, frames of the film
@@ -53,8 +53,8 @@ class Recorder:
         self._finder = ""
         for number, name in enumerate(names):
             lockstep.Subscriber(f"/uav_{number}/darknet_ros/detection_image", Image, partial(self._on_image, name))
-        lockstep.Subscriber(EVENTS_TOPIC, String, self._on_event)
-        lockstep.Subscriber(PROGRESS_TOPIC, String, self._on_progress)
+        lockstep.Subscriber(SEARCH_EVENTS_TOPIC, String, self._on_event)
+        lockstep.Subscriber(SEARCH_PROGRESS_TOPIC, String, self._on_progress)
 
     def _on_image(self, name: str, message: Any) -> None:
         picture: Picture = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)

@@ -17,9 +17,9 @@ import fake_roslaunch
 import pytest
 
 from xtdrone_interaction import cli, command_options
-from xtdrone_interaction.demos.formation import formation_cli
-from xtdrone_interaction.demos.search import search_cli
 from xtdrone_interaction.launching import launch_cli
+from xtdrone_interaction.missions.formation import cli as formation_cli
+from xtdrone_interaction.missions.search import cli as search_cli
 
 DEMO = ["demo", "formation"]
 PATIENCE = 120.0  # s of wall time; bounds a broken test
@@ -170,8 +170,8 @@ def test_a_demo_uses_the_first_instance_with_free_ports(
         command_options, "_taken", lambda number, kind: number in (24542, 19110)
     )  # of instances 0 and 1
     flown: list[int] = []
-    monkeypatch.setattr(formation_cli, "run_demo", lambda settings, console: flown.append(settings.instance) or 0)
-    monkeypatch.setattr(search_cli, "run_search", lambda settings, console: flown.append(settings.instance) or 0)
+    monkeypatch.setattr(formation_cli, "fly", lambda settings, console: flown.append(settings.instance) or 0)
+    monkeypatch.setattr(search_cli, "fly", lambda settings, console: flown.append(settings.instance) or 0)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
         other.bind("\0xtdrone-instance-2")  # another command is about to start
         assert cli.main(["demo", demo, "--out", str(tmp_path / "out")]) == 0
@@ -258,7 +258,7 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     program = textwrap.dedent(f"""
         import sys
         from xtdrone_interaction import cli, command_options
-        from xtdrone_interaction.demos.search import search_cli
+        from xtdrone_interaction.missions.search import cli as search_cli
         from xtdrone_interaction.launching import process_tree
         process_tree._STEPS = tuple((s, 0.5) for s, _ in process_tree._STEPS)
         command_options._taken = lambda number, kind: False

@@ -8,20 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rich.console import Console
 
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord
-from xtdrone_interaction.recording.positions import FleetTrack
-from xtdrone_interaction.recording.recorded_flight import Change, RecordError
-from xtdrone_interaction.report.compare_simulators import (
+from xtdrone_interaction.missions.formation.compare_simulators import (
     FULL,
     as_data,
     compare,
+    comparison_figures,
+    comparison_table,
     overall,
-    print_comparison,
     same_slots,
-    save_pictures,
+    summarise_comparison,
 )
+from xtdrone_interaction.missions.formation.record import FormationRecord
+from xtdrone_interaction.pictures.picture_style import save_figures
+from xtdrone_interaction.recording.positions import FleetTrack
+from xtdrone_interaction.recording.recorded_flight import Change, RecordError
 
 GRID = np.array([[3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 3.0, 0.0]])
 LINE = np.array([[0.0, 2.0, 0.0], [0.0, 4.0, 0.0], [0.0, 6.0, 1.0]])
@@ -103,13 +104,12 @@ def test_a_constant_difference_is_measured() -> None:
     assert line.steady_error[1] == pytest.approx(0.1, abs=1e-6)
 
 
-def test_other_assignments_are_reported_and_compared_by_slot(capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_assignments_are_reported_and_compared_by_slot() -> None:
     differences = compare(flight(rate=50.0), flight(rate=50.0, order=(1, 0, 2)))
     assert [d.reassigned for d in differences] == [0, 2]
     assert differences[1].greatest < 5.0  # differs on the way from the start; later they are in the same slots
     assert differences[1].rms < 0.5
-    print_comparison(differences, Console(width=100))
-    assert "Pattern 'line': 2 followers have other slots than in full physics" in capsys.readouterr().out
+    assert "Pattern 'line': 2 followers have other slots than in full physics" in summarise_comparison(differences)
 
 
 def test_same_slots_in_any_order() -> None:
@@ -135,15 +135,14 @@ def test_a_flight_that_ended_early_is_compared_as_far_as_it_went() -> None:
     assert [d.pattern for d in compare(flight(), flight(patterns=(("origin", GRID),)))] == ["origin"]
 
 
-def test_report_table_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_table_and_pictures(tmp_path: Path) -> None:
     first, second = flight(rate=1.0), flight(rate=0.8)
     differences = compare(first, second)
     data = json.loads(json.dumps(as_data(differences, FULL), allow_nan=False))
     assert data["with"] == "full physics"
     assert data["patterns"][1]["rms"] == pytest.approx(differences[1].rms)
     assert data["rms"] == pytest.approx(overall(differences))
-    print_comparison(differences, Console(width=80))
-    assert f"{differences[1].rms:.3f}" in capsys.readouterr().out
-    paths = save_pictures(first, second, tmp_path)
+    assert comparison_table(differences).rows[1][1] == f"{differences[1].rms:.3f}"
+    paths = [path for _, path in save_figures(comparison_figures(first, second), tmp_path)]
     assert [p.name for p in paths] == ["comparison_1_origin_to_line.png"]
     assert paths[0].stat().st_size > 20_000

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from xtdrone_interaction.formation.flight_events import read_events
+from xtdrone_interaction.recording.flight_events import read_events
 
 
 def test_a_phase_of_an_older_recording_has_its_present_name(tmp_path):

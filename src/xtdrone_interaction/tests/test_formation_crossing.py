@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_interaction.crossing.formation_crossing import FORMED_ERROR, FormationCrossing, Member
-from xtdrone_interaction.metrics.missions.formation_crossing_metrics import formation_figures
-from xtdrone_interaction.recording.missions.crossing_record import CrossingRecord
+from xtdrone_interaction.missions.crossing.metrics import measure_formation
+from xtdrone_interaction.missions.crossing.state_machine import FORMED_ERROR, FormationCrossing, Member
+from xtdrone_interaction.missions.fleet_record import FleetRecord
 
 PERIOD = 0.1  # s
 
@@ -110,8 +110,8 @@ def test_figures_are_those_of_the_stages():
         {"event": "phase", "phase": "landing", "time": 30.0},
         {"event": "landing", "vehicle": "uav_0", "outcome": "arrived", "time": 30.0},
     ]
-    record = CrossingRecord(("uav_0", "uav_1"), time, np.stack([leader, follower], axis=1), events, [])
-    figures = formation_figures(record)
+    record = FleetRecord(("uav_0", "uav_1"), time, np.stack([leader, follower], axis=1), events, [])
+    figures = measure_formation(record)
     assert figures is not None
     assert figures["before"] == pytest.approx({"mean": 0.1, "most": 0.1})
     assert figures["during"]["most"] == pytest.approx(2.0)
@@ -120,4 +120,4 @@ def test_figures_are_those_of_the_stages():
     assert figures["formed_after"] == pytest.approx(6.0)
     assert figures["formed_again_after"] == pytest.approx(10.05)
     events[:2] = []
-    assert formation_figures(record) is None
+    assert measure_formation(record) is None

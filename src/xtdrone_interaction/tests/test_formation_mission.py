@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from xtdrone_interaction.command_options import swarm_patterns
-from xtdrone_interaction.formation.formation_mission import (
+from xtdrone_interaction.missions.formation.state_machine import (
     CLEARANCE,
     COMMAND_LIMIT,
     FleetState,
@@ -256,7 +256,7 @@ def test_the_director_ignores_invalid_offsets(monkeypatch: pytest.MonkeyPatch) -
     pytest.importorskip("rospy")
     from std_msgs.msg import Float32MultiArray
 
-    from xtdrone_interaction.formation import formation_director as module
+    from xtdrone_interaction.missions.formation import director as module
 
     heard: dict[str, Callable[..., None]] = {}
     warnings: list[str] = []

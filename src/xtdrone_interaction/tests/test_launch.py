@@ -267,13 +267,13 @@ MUTE = "server = socket.create_server(('127.0.0.1', int(sys.argv[sys.argv.index(
 IMPATIENT = """\
 import sys
 from xtdrone_interaction import cli
-from xtdrone_interaction.demos.formation import formation_demo
+from xtdrone_interaction.missions.formation import cli as formation_cli
 from xtdrone_interaction.launching import supervised_launch
 from xtdrone_interaction.launching import process_tree
 process_tree._STEPS = tuple((s, 0.3) for s, _ in process_tree._STEPS)
 process_tree._ORPHANED = process_tree._TERMINATED = 0.3
 supervised_launch._PATIENCE = 0.3
-formation_demo._START_LIMIT, formation_demo._START_LIMIT_VEHICLE = 3.0, 0.0
+formation_cli._START_LIMIT, formation_cli._START_LIMIT_VEHICLE = 3.0, 0.0
 sys.exit(cli.main(sys.argv[1:]))
 """
 

@@ -10,10 +10,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from xtdrone_control.poses import Pose
-from xtdrone_interaction.metrics.map_accuracy import map_accuracy
-from xtdrone_interaction.metrics.missions.map_report import joined, read_map, together
-from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory
-from xtdrone_interaction.metrics.true_surfaces import Sight, TrueWorld
+from xtdrone_interaction.metrics.odometry_errors import Trajectory
+from xtdrone_interaction.missions.map_report import join_clouds, read_map, unite
+from xtdrone_interaction.missions.true_surfaces import Sight, TrueWorld, map_accuracy
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_sim.rays.surface_points import distances_from, points_on
 from xtdrone_sim.rays.surfaces import of_shape, of_triangles
@@ -122,12 +121,12 @@ def test_a_saved_cloud_is_read_and_one_with_nan_is_refused(tmp_path: Path) -> No
 def test_a_merged_map_is_no_part_of_the_union() -> None:
     maps = [(f"map.iris_{k}.bt", np.full((k + 1, 3), float(k))) for k in range(2)]
     merged = ("merged_map.bt", np.zeros((9, 3)))
-    assert together([*maps, merged])[0][1].tolist() == [[0.0] * 3, [1.0] * 3, [1.0] * 3]
-    assert together([maps[0], merged]) == []
+    assert unite([*maps, merged])[0][1].tolist() == [[0.0] * 3, [1.0] * 3, [1.0] * 3]
+    assert unite([maps[0], merged]) == []
 
 
 def test_recorded_clouds_have_only_places() -> None:
     data = np.array([[0.01, 0.0, 0.0], [0.02, 0.0, 0.0], [1.0, 0.0, 0.0]], "<f4").tobytes()
-    assert len(joined([SimpleNamespace(point_step=12, data=data)], 0.1)) == 2
+    assert len(join_clouds([SimpleNamespace(point_step=12, data=data)], 0.1)) == 2
     with pytest.raises(RecordError, match="cloud: point_step 16 is not allowed, 12: x, y, z of float32"):
-        joined([SimpleNamespace(point_step=16, data=data)], 0.1)
+        join_clouds([SimpleNamespace(point_step=16, data=data)], 0.1)

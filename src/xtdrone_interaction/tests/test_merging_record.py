@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from bags import Bag
 
-from xtdrone_interaction.recording.missions.merging_record import read_merging
+from xtdrone_interaction.missions.exploration.record import read_merging
 from xtdrone_interaction.recording.recorded_flight import RecordError
 
 ARRAY, STATUS = "diagnostic_msgs/msg/DiagnosticArray", "diagnostic_msgs/msg/DiagnosticStatus"

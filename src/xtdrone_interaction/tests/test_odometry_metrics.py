@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from xtdrone_interaction.metrics.missions.odometry_errors import (
+from xtdrone_interaction.metrics.odometry_errors import (
     Trajectory,
     aligned,
     errors,

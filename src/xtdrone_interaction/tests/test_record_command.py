@@ -16,7 +16,7 @@ import pytest
 from xtdrone_interaction import cli, sim_cli
 from xtdrone_interaction.bags.record_by_profile import read_profile, ros_environment, rosbag_arguments
 from xtdrone_interaction.command_options import OptionError
-from xtdrone_interaction.formation.flight_events import EventsFile
+from xtdrone_interaction.recording.flight_events import EventsFile
 
 POSE, STATE, IMU = "/iris_0/mavros/local_position/pose", "/mavros/state", "/iris_0/mavros/imu/data_raw"
 IMAGE, PACKED = "/typhoon_h480_0/cgo3_camera/image_raw", "/typhoon_h480_0/cgo3_camera/image_raw/compressed"

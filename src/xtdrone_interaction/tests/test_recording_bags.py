@@ -23,10 +23,10 @@ from xtdrone_interaction.bags import ros1bag
 from xtdrone_interaction.bags.bag_kinds import large_batches
 from xtdrone_interaction.bags.decode import Layout
 from xtdrone_interaction.bags.ros1bag import BagFile
-from xtdrone_interaction.metrics.missions.formation_metrics import measure
 from xtdrone_interaction.metrics.vehicle_metrics import vehicle_metrics
+from xtdrone_interaction.missions.formation.metrics import measure
+from xtdrone_interaction.missions.formation.record import formation_of, read_formation, save_formation
 from xtdrone_interaction.recording.flight_from_bag import read_bag
-from xtdrone_interaction.recording.missions.formation_record import formation_of, read_formation, save_formation
 from xtdrone_interaction.recording.recorded_flight import Recording
 from xtdrone_interaction.recording.series_in_bounded_memory import Columns
 

@@ -11,7 +11,7 @@ import pytest
 from bags import Bag
 from rosbags.typesys import get_types_from_msg
 
-from xtdrone_interaction.recording.missions.search_record import CUT_SHORT, read_search
+from xtdrone_interaction.missions.search.record import CUT_SHORT, read_search
 from xtdrone_interaction.recording.recorded_flight import RecordError
 
 MESSAGES = Path(__file__).parents[2] / "msgs"

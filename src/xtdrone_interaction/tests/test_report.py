@@ -7,7 +7,6 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,16 +14,19 @@ from matplotlib import image
 from rich.console import Console
 from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 
-from xtdrone_interaction.formation.distances import least_distances, offsets_from_message
-from xtdrone_interaction.formation.flight_criteria import CRITERIA, SETTLED_ERROR
-from xtdrone_interaction.formation.shared_topics_and_names import ESTIMATE, TRUTH
-from xtdrone_interaction.metrics.missions import formation_metrics as reports
-from xtdrone_interaction.pictures.missions.formation_pictures import figures
+from xtdrone_interaction.missions.formation import metrics as reports
+from xtdrone_interaction.missions.formation.criteria import CRITERIA, SETTLED_ERROR
+from xtdrone_interaction.missions.formation.figures import figures
+from xtdrone_interaction.missions.formation.record import FormationRecord, read_formation
+from xtdrone_interaction.missions.formation.report import report_of
+from xtdrone_interaction.missions.mission import FlightReport
 from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation
+from xtdrone_interaction.recording.distances import least_distances, offsets_from_message
 from xtdrone_interaction.recording.positions import FleetTrack, regular_times
 from xtdrone_interaction.recording.recorded_flight import Change, RecordError
-from xtdrone_interaction.report.printed_results import print_formation
+from xtdrone_interaction.recording.topics import ESTIMATE, TRUTH
+from xtdrone_interaction.report.html_page import print_page
+from xtdrone_interaction.report.report_json import write_report
 
 
 def test_record_holds_the_flight(flight_bag: Path) -> None:
@@ -177,7 +179,7 @@ def test_a_collision_is_a_shortcoming(tmp_path: Path) -> None:
     assert report["shortcomings"] == [words]
 
 
-def crossing(simulator: str) -> dict[str, Any]:
+def crossing(simulator: str) -> FlightReport:
     """Return the report of five vehicles: 1 flies through 2, then close by 3; 4 stays away."""
     times = np.arange(0.0, 40.0, 0.1)
     places = np.zeros((len(times), 5, 3))
@@ -193,11 +195,11 @@ def crossing(simulator: str) -> dict[str, Any]:
     ]
     names = tuple(f"iris_{i}" for i in range(5))
     record = FormationRecord(names, FleetTrack("made up", times, places), None, [Change(1.0, offsets)], [], events)
-    return reports.make_report(record, {"simulator": simulator})
+    return report_of(record, {"simulator": simulator})
 
 
 def test_pairs_that_came_too_close_are_counted_and_the_closest_is_reported() -> None:
-    report = crossing("simplified")
+    report = crossing("simplified").data
     found = report["too_close"]
     assert (found["pairs"], found["vehicles"]) == (2, 3)
     assert [pair["vehicles"] for pair in found["closest"]] == [["iris_1", "iris_2"], ["iris_1", "iris_3"]]
@@ -216,7 +218,7 @@ def test_the_texts_on_contacts_are_the_simulators() -> None:
     said = {}
     for simulator in ("simplified", "full"):
         output = io.StringIO()
-        print_formation(crossing(simulator), Console(file=output, width=200))
+        print_page(crossing(simulator).page, Console(file=output, width=200))
         said[simulator] = output.getvalue()
     assert "Simplified vehicles do not collide: where two meet, they fly through each other." in said["simplified"]
     assert "collisions" not in said["simplified"]
@@ -280,11 +282,11 @@ def test_least_distance_is_over_all_pairs() -> None:
 
 
 def test_table_names_every_pattern(flight_bag: Path, tmp_path: Path) -> None:
-    report = reports.make_report(read_formation(flight_bag))
-    output = io.StringIO()
-    print_formation(report, Console(file=output, width=120))
+    made = report_of(read_formation(flight_bag), {})
+    report, output = made.data, io.StringIO()
+    print_page(made.page, Console(file=output, width=120))
     assert all(name in output.getvalue() for name in PATTERNS)
-    reports.write_report(report, tmp_path / "report.json")
+    write_report(report, tmp_path / "report.json")
     assert json.loads((tmp_path / "report.json").read_text())["vehicles"] == report["vehicles"]
 
 

@@ -10,8 +10,9 @@ import pytest
 from bags import RADIUS, TURN, helix, make_flight
 
 from xtdrone_interaction import cli
+from xtdrone_interaction.compare_cli import names_of
 from xtdrone_interaction.metrics.comparison import CompareError, aligned, compare, matched, read_run
-from xtdrone_interaction.report.compare import names_of
+from xtdrone_interaction.missions.formation.report import find_formation
 
 
 def table(path: Path, time: np.ndarray, places: np.ndarray, vehicle: str = "") -> Path:
@@ -25,7 +26,7 @@ def test_runs_are_aligned_and_their_difference_is_that_of_the_motions(tmp_path: 
     """The same helix agrees in a bag with dates, and in a table whose vehicle is ahead by an angle."""
     make_flight(tmp_path / "a.bag", ("/uav0", "/uav1"), 20.0, start=1.7e9)
     make_flight(tmp_path / "b.bag", ("/uav0", "/uav1"), 25.0)
-    runs = [read_run(tmp_path / f"{name}.bag", name) for name in "ab"]
+    runs = [read_run(tmp_path / f"{name}.bag", name, find_formation) for name in "ab"]
     found, words = aligned(matched(runs, None), "motion")
     assert "first motion" in words
     rows = compare(found)

@@ -13,8 +13,8 @@ from shapely.ops import unary_union
 from xtdrone_control.plans import qgc_plan
 from xtdrone_interaction import cli, command_options
 from xtdrone_interaction.command_options import OptionError
-from xtdrone_interaction.demos.search import search_demo
-from xtdrone_interaction.demos.search.search_prepare import SearchSettings, is_search, prepare, read_prepared
+from xtdrone_interaction.missions.search import cli as search_cli
+from xtdrone_interaction.missions.search.prepare import SearchSettings, is_search, prepare, read_prepared
 from xtdrone_sim.worlds.sdf import load_world_file
 
 REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [30, 0], [30, 5], [25, 5]]]\n"
@@ -132,7 +132,7 @@ def test_a_vehicle_without_the_camera_is_rejected(settings: SearchSettings) -> N
 
 def test_the_launch_file_gets_the_options(settings: SearchSettings, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("xtdrone_interaction.launching.supervised_launch.shutil.which", lambda program: program)
-    command = search_demo.flight(settings, prepare(settings)).command()
+    command = search_cli.flight(settings, prepare(settings)).command()
     assert "on_find:=hold" in command
     assert f"plans:={settings.out}/plans" in command
     assert command_options.repository() / "launch" / "search.launch" == Path(command[command.index("11311") + 1])

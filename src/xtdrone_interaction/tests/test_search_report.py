@@ -8,14 +8,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from rich.console import Console
 from shapely.geometry import box
 
-from xtdrone_interaction.metrics.missions.search_metrics import make_report
-from xtdrone_interaction.pictures.missions.search_views import Views
-from xtdrone_interaction.recording.missions.search_record import CUT_SHORT, SearchRecord, Sight, read_search
+from xtdrone_interaction.missions.search.camera_views import Views
+from xtdrone_interaction.missions.search.metrics import make_report
+from xtdrone_interaction.missions.search.record import CUT_SHORT, SearchRecord, Sight, read_search
+from xtdrone_interaction.missions.search.report import summarise
+from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures
 from xtdrone_interaction.recording.recorded_flight import RecordError
-from xtdrone_interaction.report.printed_results import print_search
 
 FINISHED: dict[str, Any] = {
     "event": "finished", "time": 100.0, "outcome": "found", "vehicle": "typhoon_h480_0", "position": [10.0, 0.0],
@@ -67,10 +67,9 @@ def test_a_continued_search_must_find_all_people() -> None:
     assert [(find["person"], find["again"]) for find in report["finds"]] == [("person_0", False), ("person_0", True)]
     assert report["shortcomings"] == ["not found: person_1"]
     assert make_report(search, {"on_find": "hold"})["shortcomings"] == []
-    with (console := Console(width=100)).capture() as printed:
-        print_search(report, console)
-    assert "Found by typhoon_h480_0 at 30.0 s, at (10.0, 0.2) m, 0.20 m from person_0." in printed.get()
-    assert "Found again by typhoon_h480_1 at 70.0 s" in printed.get()
+    said = summarise(report)
+    assert "Found by typhoon_h480_0 at 30.0 s, at (10.0, 0.2) m, 0.20 m from person_0." in said
+    assert "Found again by typhoon_h480_1 at 70.0 s" in said
 
 
 def test_the_way_of_each_vehicle_is_measured() -> None:
@@ -115,10 +114,8 @@ def test_an_aborted_search_is_reported_with_the_known_results() -> None:
     assert report["shortcomings"] == ["the search was cut short"]
     assert report["find"]["error"] == pytest.approx(0.5)
     assert report["following"][0]["duration"] == pytest.approx(10.0)  # to the end of the record
-    with (console := Console(width=100)).capture() as printed:
-        print_search(report, console)
-    assert "Cut short." in printed.get()
-    assert "Covered 25.0 %, in 100 s." in printed.get()
+    assert "Cut short." in summarise(report)
+    assert "Covered 25.0 %, in 100 s." in summarise(report)
 
 
 def test_a_missing_bag_is_rejected(tmp_path: Path) -> None:
@@ -127,12 +124,14 @@ def test_a_missing_bag_is_rejected(tmp_path: Path) -> None:
 
 
 def test_the_map_shows_find_and_ways(tmp_path: Path) -> None:
-    from xtdrone_interaction.pictures.missions.search_map import save_map
+    from xtdrone_interaction.missions.search.figures import draw_map
 
     found = {"event": "confirmed", "time": 30.0, "vehicle": "typhoon_h480_0", "position": [10.0, 0.0]}
     region = box(-10.0, -40.0, 120.0, 40.0).difference(box(50.0, -5.0, 60.0, 5.0))
     ways = {"typhoon_h480_0": np.array([[0.0, 0.0], [100.0, 0.0]])}
-    picture = cv2.imread(str(save_map(record(found), region, [region], ways, tmp_path / "map.png")))
+    figure = draw_map(record(found), region, [region], ways)
+    ((_, path),) = save_figures([NamedFigure("map", "Map", figure)], tmp_path)
+    picture = cv2.imread(str(path))
     assert picture.shape[1] > 1000
     red = (picture[..., 2] > 200) & (picture[..., 1] < 60) & (picture[..., 0] < 60)
     assert red.sum() > 50  # the star

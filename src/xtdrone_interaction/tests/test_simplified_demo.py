@@ -16,11 +16,12 @@ import pytest
 from PIL import ImageGrab
 
 from xtdrone_interaction import cli, command_options
-from xtdrone_interaction.demos.formation import formation_cli, formation_demo, simplified_demo
-from xtdrone_interaction.demos.formation.formation_demo import DemoSettings
 from xtdrone_interaction.launching import supervised_launch
-from xtdrone_interaction.pictures.missions.formation_film import frames as frames_of
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord
+from xtdrone_interaction.missions.formation import cli as formation_cli
+from xtdrone_interaction.missions.formation import simplified as simplified_demo
+from xtdrone_interaction.missions.formation.cli import FormationSettings
+from xtdrone_interaction.missions.formation.figures import frames as frames_of
+from xtdrone_interaction.missions.formation.record import FormationRecord
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import Change
 
@@ -96,9 +97,9 @@ def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest
     """The launch file receives them, with absolute paths."""
     monkeypatch.setattr(command_options, "_taken", lambda number, kind: False)
     monkeypatch.setattr(supervised_launch.shutil, "which", lambda program: program)
-    flown: list[DemoSettings] = []
+    flown: list[FormationSettings] = []
     monkeypatch.setattr(simplified_demo, "run_ros_demo", lambda demo, console: flown.append(demo) or 1)
-    monkeypatch.setattr(formation_cli, "run_demo", lambda demo, console: flown.append(demo) or 1)
+    monkeypatch.setattr(formation_cli, "fly", lambda demo, console: flown.append(demo) or 1)
     (tmp_path / "mine.py").write_text(FOLLOWER + "\nfrom xtdrone_coordination.leader import Leader\n" + LEADER)
     classes = ["--follower", "mine.py:Brisk", "--leader", "mine.py:Mine"]
     assert cli.main([*DEMO, *classes]) == 1
@@ -107,7 +108,7 @@ def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest
         monkeypatch.setenv("DISPLAY", display)
         assert cli.main([*DEMO]) == 1
         assert cli.main([*DEMO, "--headless"]) == 1
-    given = [formation_demo.flight(settings).command() for settings in flown]
+    given = [formation_cli.flight(settings).command() for settings in flown]
     for command in given[:2]:
         assert f"follower_class:={tmp_path}/mine.py:Brisk" in command
         assert f"leader_class:={tmp_path}/mine.py:Mine" in command

@@ -11,13 +11,14 @@ import pytest
 
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_interaction.formation.swarm_flight import FormationFlight, fly_formation, outcome_of
-from xtdrone_interaction.metrics.missions.formation_metrics import make_report, write_report
-from xtdrone_interaction.pictures.missions.formation_pictures import figures
+from xtdrone_interaction.missions.formation.compare_simulators import compare, with_assignments_of
+from xtdrone_interaction.missions.formation.figures import figures
+from xtdrone_interaction.missions.formation.metrics import make_report
+from xtdrone_interaction.missions.formation.record import FormationRecord, read_formation, save_formation
+from xtdrone_interaction.missions.formation.swarm_flight import FormationFlight, fly_formation, outcome_of
 from xtdrone_interaction.pictures.picture_style import save_figures
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord, read_formation, save_formation
 from xtdrone_interaction.recording.recorded_flight import RecordError
-from xtdrone_interaction.report.compare_simulators import compare, with_assignments_of
+from xtdrone_interaction.report.report_json import write_report
 from xtdrone_swarm import Swarm
 from xtdrone_swarm.full_vehicles import CoreVehicles
 

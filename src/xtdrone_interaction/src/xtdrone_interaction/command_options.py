@@ -29,8 +29,7 @@ from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_control.programs.user_classes import load_class
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import Patterns, absolute_name
-from xtdrone_interaction.formation.flight_criteria import CRITERIA, parse_criteria
-from xtdrone_interaction.formation.shared_topics_and_names import ORIGIN
+from xtdrone_interaction.recording.topics import ORIGIN
 
 _Base = TypeVar("_Base")
 
@@ -85,12 +84,6 @@ def patterns_setting() -> Any:
     """Declare the patterns to fly; files in their names are absolute."""
     default = ("cube", "pyramid", "triangle")
     return setting(default, parse=_parse_patterns, metavar="NAMES", text=PATTERNS_HELP)
-
-
-def waive_setting() -> Any:
-    """Declare the criteria of a good flight that do not count."""
-    text = f"criteria that do not count for the exit status, with commas between, of {', '.join(CRITERIA)}"
-    return setting((), parse=parse_criteria, metavar="NAMES", text=text)
 
 
 def clearance_setting() -> Any:
@@ -201,6 +194,23 @@ def _check_room(folder: Path) -> None:
             f"out: {str(folder)!r} is on a disk with {free >> 20} MB left; a flight is recorded with at least "
             f"{_BAG_ROOM >> 20} MB; choose --out"
         )
+
+
+def output_folder(wanted: Path | None, usual: Path) -> Path:
+    """Return the folder of results, created if necessary: ``wanted``, else ``usual``.
+
+    Raises:
+        OptionError: it cannot be created or written to.
+    """
+    folder = wanted or usual
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OptionError(f"out: {str(folder)!r} cannot be written to: {error.strerror}") from error
+    return folder
 
 
 def checked(check: Callable[[str], Any]) -> Callable[[str], Any]:

@@ -24,7 +24,6 @@ from rich.console import Console
 
 from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
 from xtdrone_interaction.command_options import OptionError, check_master_port, free_port, repository
-from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.message_feed import Feed, answers
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.launching.roslaunch_ahead import roslaunch_words
@@ -33,6 +32,7 @@ from xtdrone_interaction.monitoring.launch_log_errors import advice, error_lines
 from xtdrone_interaction.monitoring.missing_nodes import not_joined
 from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.monitoring.startup_progress import Startup
+from xtdrone_interaction.recording.flight_events import read_events
 from xtdrone_interaction.sim_cli import MASTER_FILE, announce
 
 _POLL = 0.2  # s between two polls of the processes
@@ -43,13 +43,7 @@ _PATIENCE = 25.0  # s for roslaunch to stop its nodes
 _NODE_PATIENCE = 8.0  # s for a node to stop
 _OWN_ADDRESS_LIMIT = 3.0  # s for this machine to reach itself
 _STOPPED = 5.0  # s between two polls; a longer gap means that this program was suspended
-_VITAL = (
-    "simulator",
-    "mavros",
-    "formation_director",
-    "search_mission",
-    "crossing_director",
-)  # required for the flight to continue
+_VITAL = ("simulator", "mavros")  # required for any flight to continue
 _RECORDER = "recorder"
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _INCOMPLETE = "participants have "  # "joined" or "not joined": the simulator's status while it waits at the start
@@ -162,6 +156,7 @@ class Flight(Launch):
         progress_topic, events_topic: published by the director, std_msgs/String with JSON.
         last_events: names of the events that end the flight.
         show_event: displays an event that is of interest to the user.
+        vital: Names of further nodes without which the flight cannot continue.
     """
 
     bag: str
@@ -170,6 +165,7 @@ class Flight(Launch):
     events_topic: str
     last_events: tuple[str, ...]
     show_event: Callable[[dict[str, Any], Display], None]
+    vital: tuple[str, ...] = ()
 
     def events(self) -> list[dict[str, Any]]:
         """Return the director's events so far."""
@@ -516,7 +512,8 @@ def _watch(watch: Watch, flight: Flight) -> None:
         dead = [] if begun else watch.dead()
         if dead:
             raise DemoError(f"a node died before the flight began: {dead[0]}")
-        dropped = next((ended for ended in watch.ended_nodes.all() if ended.dropped and ended.node in _VITAL), None)
+        vital = (*_VITAL, *flight.vital)
+        dropped = next((ended for ended in watch.ended_nodes.all() if ended.dropped and ended.node in vital), None)
         if dropped:
             raise DemoError(f"the flight cannot continue: {dropped}")
         if begun:

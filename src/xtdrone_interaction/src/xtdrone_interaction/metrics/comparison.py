@@ -6,21 +6,18 @@ Positions are ENU, metres. Times count from a common beginning, s.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from xtdrone_interaction.metrics.missions.formation_metrics import measure
-from xtdrone_interaction.metrics.resampling import (
-    even_times,
-)
+from xtdrone_interaction.metrics.spectrum import even_times
 from xtdrone_interaction.metrics.vehicle_metrics import least_distance_series, way_length
 from xtdrone_interaction.recording.flight_from_ulog import NAMELESS, FlightLog
-from xtdrone_interaction.recording.missions.formation_record import formation_of
+from xtdrone_interaction.recording.found_mission import Finder, find_none
 from xtdrone_interaction.recording.open_recording import open_recording
-from xtdrone_interaction.recording.recorded_flight import RecordError, Recording
+from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series
 
 ALIGNMENTS = ("motion", "armed", "start", "none")
@@ -78,12 +75,13 @@ class ComparedRun:
         return replace(self, places=moved)
 
 
-def read_run(path: Path, name: str) -> ComparedRun:
+def read_run(path: Path, name: str, find: Finder = find_none) -> ComparedRun:
     """Read a run from a recording of any kind.
 
     Args:
-        path: of the recording.
-        name: of the run.
+        path: File of the recording.
+        name: Name of the run.
+        find: Finds the mission in it.
 
     Raises:
         CompareError: there is no such file, or it has no positions.
@@ -96,19 +94,12 @@ def read_run(path: Path, name: str) -> ComparedRun:
     if not places:
         raise CompareError(f"compare: {str(path)!r} has no positions of any vehicle")
     armed = [time for vehicle in recording.vehicles for time, is_armed in vehicle.armed if is_armed]
-    patterns, notes = _reconfigurations(recording)
-    return ComparedRun(name, places, min(armed, default=None), recording.flight_log, patterns, notes)
-
-
-def _reconfigurations(recording: Recording) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the metrics of a recording's reconfigurations, and all notes on it."""
-    record = formation_of(recording)
-    if record is None:
-        return [], recording.notes
+    found, patterns, notes = find(recording), [], recording.notes
     try:
-        return [asdict(item) for item in measure(record, record.track)], recording.notes
+        patterns = [] if found is None else found.parts()
     except RecordError as error:
-        return [], [*recording.notes, str(error)]
+        notes = [*notes, str(error)]
+    return ComparedRun(name, places, min(armed, default=None), recording.flight_log, patterns, notes)
 
 
 def aligned(runs: Sequence[ComparedRun], alignment: str) -> tuple[list[ComparedRun], str]:

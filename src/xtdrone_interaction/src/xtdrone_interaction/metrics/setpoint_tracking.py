@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from xtdrone_interaction.metrics.resampling import uniform
+from xtdrone_interaction.metrics.spectrum import uniform
 from xtdrone_interaction.recording.flight_from_ulog import FlightLog, euler
 from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series
 

@@ -9,27 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_interaction.formation.distances import least_distances
-from xtdrone_interaction.metrics.missions import odometry_errors
-from xtdrone_interaction.metrics.missions.formation_metrics import make_report
+from xtdrone_interaction.metrics import odometry_errors
 from xtdrone_interaction.metrics.setpoint_tracking import trackings
+from xtdrone_interaction.recording.distances import least_distances
 from xtdrone_interaction.recording.flight_from_ulog import FlightLog
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord
+from xtdrone_interaction.recording.found_mission import FoundMission
 from xtdrone_interaction.recording.recorded_flight import RecordError, Recording, VehicleRecord
 from xtdrone_interaction.recording.series_in_bounded_memory import Series, spans
 
 _INFO = ("sys_name", "release", "ver_hw", "ver_sw_release", "ver_sw", "sys_uuid")
-_FORMATION = ("outcome", "positions", "reconfigurations", "least_distance", "least_distance_time", "too_close",
-              "shortcomings")  # fmt: skip
 _LOG = ("way", "highest", "greatest_speed", "least_voltage", "modes")
 
 
-def summarise(recording: Recording, record: FormationRecord | None) -> dict[str, Any]:
+def summarise(recording: Recording, found: FoundMission | None) -> dict[str, Any]:
     """Return the metrics of a recording as plain data.
 
     Args:
         recording: of any kind but a flight log.
-        record: its formation flight, if it has one.
+        found: Its formation flight, if it has one.
     """
     figures: dict[str, Any] = {
         "file": str(recording.path),
@@ -44,10 +41,9 @@ def summarise(recording: Recording, record: FormationRecord | None) -> dict[str,
         "collisions": recording.collisions,
         "formation": None,
     }
-    if record is not None:
+    if found is not None:
         try:
-            report = make_report(record)
-            figures["formation"] = {key: report[key] for key in _FORMATION}
+            figures["formation"] = found.metrics()
         except RecordError as error:
             figures["notes"] = [*recording.notes, str(error)]
     return figures

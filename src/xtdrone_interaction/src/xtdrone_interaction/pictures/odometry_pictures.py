@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from xtdrone_interaction.metrics.missions.odometry_errors import Trajectory, aligned, common, pairs
-from xtdrone_interaction.metrics.missions.slam_report import ShownFlight
-from xtdrone_interaction.pictures.picture_style import NamedFigure, panels, save_figure
+from xtdrone_interaction.metrics.odometry_errors import Trajectory, aligned, common, pairs
+from xtdrone_interaction.pictures.picture_style import NamedFigure, panels
 from xtdrone_interaction.recording.recorded_flight import Recording
 from xtdrone_interaction.recording.series_in_bounded_memory import Array
 
@@ -58,12 +56,3 @@ def drift(found: Trajectory, true: Trajectory, name: str) -> Figure:
     panel.legend(loc="best")
     figure.suptitle(f"Error of {name}")
     return figure
-
-
-def save_pictures(shown: ShownFlight, folder: Path) -> None:
-    """Write ``path.png`` and ``drift.png`` of a flight by odometry alone."""
-    for name, figure in (
-        ("path", path(shown.found, shown.true, shown.name, shown.points)),
-        ("drift", drift(shown.found, shown.true, shown.name)),
-    ):
-        save_figure(figure, folder / f"{name}.png", dpi=150)

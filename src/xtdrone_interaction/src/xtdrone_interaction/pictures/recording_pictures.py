@@ -11,13 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from xtdrone_interaction.metrics.missions.formation_metrics import DISTANCE_LIMIT
-from xtdrone_interaction.metrics.spectrum import (
-    spectrum,
-)
+from xtdrone_interaction.metrics.spectrum import spectrum
 from xtdrone_interaction.metrics.vehicle_metrics import least_distance_series
 from xtdrone_interaction.pictures import odometry_pictures
-from xtdrone_interaction.pictures.missions import formation_pictures
 from xtdrone_interaction.pictures.picture_style import (
     NO_MODE,
     NamedFigure,
@@ -30,7 +26,8 @@ from xtdrone_interaction.pictures.picture_style import (
     same_scale,
     shades,
 )
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord
+from xtdrone_interaction.recording.distances import DISTANCE_LIMIT
+from xtdrone_interaction.recording.found_mission import FoundMission
 from xtdrone_interaction.recording.recorded_flight import Recording, VehicleRecord
 from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series, armed_span, spans
 
@@ -40,14 +37,14 @@ _MOST_MODES = 14  # in the legend
 _NO_POSITION, _NO_VELOCITY = 0b000_111, 0b111_000
 
 
-def pictures(recording: Recording, record: FormationRecord | None) -> Iterator[NamedFigure]:
+def pictures(recording: Recording, found: FoundMission | None) -> Iterator[NamedFigure]:
     """Yield all pictures for which a recording has data, each drawn on demand.
 
     Args:
         recording: of any kind but a flight log.
-        record: its formation flight, if it has one.
+        found: Its formation flight, if it has one.
     """
-    marks = [(window.start, window.pattern) for window in record.windows] if record is not None else []
+    marks = [] if found is None else found.marks
     known = {name: series for name, series in recording.positions.items() if len(series)}
     if known:
         yield NamedFigure("positions", "Positions", positions(recording, known, marks))
@@ -56,8 +53,8 @@ def pictures(recording: Recording, record: FormationRecord | None) -> Iterator[N
     placed = [vehicle for vehicle in recording.vehicles if vehicle.name in known]
     if any("velocity" in vehicle.series for vehicle in placed):
         yield NamedFigure("velocities", "Velocities", velocities(recording, placed, marks))
-    if record is not None and record.windows:
-        yield from formation_pictures.figures(record)
+    if found is not None and marks:
+        yield from found.figures()
     elif len(known) > 1 and (least := least_distance_series(known.values())) is not None:
         yield NamedFigure("distances", "Minimum distance between vehicles", distances(recording, least))
     if any(vehicle.modes or vehicle.armed for vehicle in recording.vehicles):

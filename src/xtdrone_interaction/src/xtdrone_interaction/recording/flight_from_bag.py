@@ -20,20 +20,21 @@ from numpy.typing import NDArray
 from xtdrone_interaction.bags.bag_kinds import Layouts, Losses, Source, by_connection, large_batches, open_sources
 from xtdrone_interaction.bags.decode import STAMP, Decoded, Fixed, Layout, List, MessageError, Texts, records_at
 from xtdrone_interaction.bags.ros1bag import BagError, Batch, Connection
-from xtdrone_interaction.formation.distances import offsets_from_message
-from xtdrone_interaction.formation.flight_events import EVENTS_FILE, parse_event, read_events
-from xtdrone_interaction.formation.shared_topics_and_names import (
+from xtdrone_interaction.recording.distances import offsets_from_message
+from xtdrone_interaction.recording.flight_events import EVENTS_FILE, parse_event, read_events
+from xtdrone_interaction.recording.positions import complete, plausible, regular_times
+from xtdrone_interaction.recording.recorded_flight import Change, Recording, TopicStatistics, VehicleRecord
+from xtdrone_interaction.recording.series_in_bounded_memory import MOST_VALUES, Array, Columns, Series
+from xtdrone_interaction.recording.topics import (
     EVENTS_TOPIC,
+    LOG_TOPIC,
     PATTERN_TOPIC,
+    SEARCH_EVENTS_TOPIC,
     TOPOLOGY_TOPIC,
     TRUTH_TOPIC,
     natural_order,
 )
-from xtdrone_interaction.recording.positions import complete, plausible, regular_times
-from xtdrone_interaction.recording.recorded_flight import LOG_TOPIC, Change, Recording, TopicStatistics, VehicleRecord
-from xtdrone_interaction.recording.series_in_bounded_memory import MOST_VALUES, Array, Columns, Series
 
-SEARCH_EVENTS_TOPIC = "/xtdrone/search/event"
 COLLISION = "collision of "  # the beginning of the simulator node's message
 WARNING = 4  # rosgraph_msgs/Log level; errors have higher ones
 _DATE = 1e8  # s; times above are dates, not simulated

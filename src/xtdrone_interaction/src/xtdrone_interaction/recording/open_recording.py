@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from xtdrone_interaction.bags.ros1bag import BagError
+from xtdrone_interaction.recording.flight_events import parse_event
 from xtdrone_interaction.recording.flight_from_bag import read_bag
 from xtdrone_interaction.recording.flight_from_ulog import NAMELESS, FlightLog, LogError, is_log, read_log
-from xtdrone_interaction.recording.missions.formation_record import read_archive
-from xtdrone_interaction.recording.recorded_flight import RecordError, Recording, VehicleRecord
+from xtdrone_interaction.recording.recorded_flight import Change, RecordError, Recording, VehicleRecord
 from xtdrone_interaction.recording.series_in_bounded_memory import Series
 
 COLUMNS = ("time", "x", "y", "z")
@@ -89,3 +91,29 @@ def log_recording(log: FlightLog) -> Recording:
         unknown = np.full((len(voltage), 2), np.nan)
         vehicle.series["battery"] = Series(voltage.time, np.hstack([voltage.value, unknown]))
     return Recording(log.path, log.size, log.notes, log.cut, duration=log.duration, vehicles=[vehicle], flight_log=log)
+
+
+def read_archive(path: Path) -> Recording:
+    """Read the archive of a formation flight in one process, ``flight.npz``: see ``missions.formation.record``.
+
+    Raises:
+        RecordError: it is something else.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            times = data["pattern_time"].tolist()
+            names, time, position = data["names"].tolist(), data["time"], data["position"]
+            return Recording(
+                path,
+                path.stat().st_size,
+                duration=float(time[-1] - time[0]) if len(time) else 0.0,
+                vehicles=[VehicleRecord(name) for name in names],
+                models={name: Series(time, position[:, i]) for i, name in enumerate(names)},
+                truth_source=str(data["source"]),
+                patterns=[Change(t, value) for t, value in zip(times, data["offsets"], strict=True)],
+                topologies=[Change(t, value) for t, value in zip(times, data["topology"], strict=True)],
+                events=[parse_event(json.dumps(event)) for event in json.loads(str(data["events"]))],
+                collisions=json.loads(str(data["collisions"])),
+            )
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        raise RecordError(f"flight record: {path} cannot be read ({error})") from error

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import median_filter
 
-from xtdrone_interaction.formation.distances import least_distances
+from xtdrone_interaction.recording.distances import least_distances
 from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series
 
 _BASE_STEP = 0.004  # s; every period of the simulator is a multiple of it

@@ -9,11 +9,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from xtdrone_interaction.formation.shared_topics_and_names import TRUTH
 from xtdrone_interaction.recording.flight_from_ulog import FlightLog
 from xtdrone_interaction.recording.series_in_bounded_memory import Series
-
-LOG_TOPIC = "/rosout"
+from xtdrone_interaction.recording.topics import TRUTH
 
 
 class RecordError(ValueError):

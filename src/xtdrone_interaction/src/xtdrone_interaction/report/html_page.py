@@ -1,9 +1,10 @@
-"""A report: a self-contained HTML page, its figures as PNG, its metrics as JSON, and its tables on the terminal."""
+"""A report: a page with its figures inside, these as PNG, the metrics as JSON, and the tables on the terminal."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable
+import os
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,13 +13,11 @@ from rich.console import Console
 from rich.markup import escape
 
 from xtdrone_control.files import write_whole
-from xtdrone_interaction.command_options import OptionError
-from xtdrone_interaction.metrics.missions.formation_metrics import write_report
 from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures
-from xtdrone_interaction.report.printed_results import print_paths
+from xtdrone_interaction.report.report_json import write_report
 from xtdrone_interaction.report.report_tables import ReportTable, print_table
 
-_DPI = 110
+_DPI = 120
 _TEMPLATE = """\
 <!DOCTYPE html>
 <html lang="en">
@@ -33,16 +32,21 @@ table { border-collapse: collapse; margin: 0.6rem 0; } caption { text-align: lef
 th, td { padding: 0.15rem 0.7rem; text-align: right; border-bottom: 1px solid #eee; vertical-align: top; }
 th:first-child, td:first-child { text-align: left; } tbody tr:hover { background: #f6f8fa; }
 th.text, td.text { text-align: left; } td.text { overflow-wrap: anywhere; }
-ul.notes { background: #fff7e0; padding: 0.6rem 2rem; } img { max-width: 100%; }
+ul.notes { background: #fff7e0; padding: 0.6rem 2rem; } ul.missed { background: #fde8e6; padding: 0.6rem 2rem; }
+img, video { max-width: 100%; }
 nav { display: flex; flex-wrap: wrap; gap: 0 0.9rem; margin-bottom: 0.8rem; } nav a { white-space: nowrap; }
 details summary { cursor: pointer; }
 </style>
 </head>
 <body>
 <h1>{{ page.title }}</h1>
-<p>{{ page.summary }}</p>
+{% for line in page.summary.splitlines() %}<p>{{ line }}</p>
+{% endfor %}
+{% if page.missed %}<ul class="missed">
+{%- for text in page.missed %}<li>{{ text }}</li>{% endfor %}</ul>{% endif %}
 {% if page.notes %}<ul class="notes">{% for note in page.notes %}<li>{{ note }}</li>{% endfor %}</ul>{% endif %}
-<nav>{% for title, name, _ in images %}<a href="#{{ name }}">{{ title }}</a>{% endfor %}</nav>
+<nav>{% for title, name, _ in images %}<a href="#{{ name }}">{{ title }}</a>{% endfor %}
+{%- if files %}<a href="#files">Files</a>{% endif %}</nav>
 {% for table in page.tables %}
 <details{% if not table.long %} open{% endif %}><summary><h2 style="display:inline">{{ table.title }}</h2></summary>
 <table>
@@ -58,6 +62,14 @@ details summary { cursor: pointer; }
 <h2 id="{{ name }}">{{ title }}</h2>
 <img src="data:image/png;base64,{{ data }}" alt="{{ title }}">
 {% endfor %}
+{% if files %}
+<h2 id="files">Files</h2>
+{% for name in files if name.endswith((".mp4", ".gif")) %}
+{% if name.endswith(".mp4") %}<video controls preload="metadata" src="{{ name }}"></video>
+{% else %}<img src="{{ name }}" alt="{{ name }}">{% endif %}
+{% endfor %}
+<ul>{% for name in files %}<li><a href="{{ name }}">{{ name }}</a></li>{% endfor %}</ul>
+{% endif %}
 </body>
 </html>
 """
@@ -68,63 +80,66 @@ class ReportPage:
     """A report without its figures.
 
     Attributes:
-        title: of the page.
-        summary: one or two sentences.
-        notes: reasons for doubt, as sentences.
-        tables: in order.
+        title: Title of the page.
+        summary: Sentences, each paragraph on a line.
+        notes: Reasons for doubt, as sentences.
+        tables: Tables, in order.
+        missed: Where the flight fell short, as sentences.
+        files: Further files of the flight, which the page shows (films) or links; those that are missing are left out.
     """
 
     title: str
     summary: str
     notes: list[str] = field(default_factory=list)
     tables: list[ReportTable] = field(default_factory=list)
-
-
-def output_folder(wanted: Path | None, usual: Path) -> Path:
-    """Return the folder of results, created if necessary: ``wanted``, else ``usual``.
-
-    Raises:
-        OptionError: it cannot be created or written to.
-    """
-    folder = wanted or usual
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".writable"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise OptionError(f"out: {str(folder)!r} cannot be written to: {error.strerror}") from error
-    return folder
+    missed: list[str] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
 
 
 def write_page(
-    page: ReportPage, metrics: object, figures: Iterable[NamedFigure], folder: Path, console: Console
+    page: ReportPage,
+    metrics: object,
+    figures: Iterable[NamedFigure],
+    folder: Path,
+    console: Console,
+    film: Callable[[], Path | None] | None = None,
 ) -> None:
-    """Write ``report.html``, ``report.json`` and the figures into a folder; print the report and the paths.
+    """Write ``report.html``, ``report.json`` and the figures into a folder, and print the paths.
 
     Args:
-        page: everything but the figures.
-        metrics: plain data.
-        figures: each is drawn when the iterator is advanced.
-        folder: exists.
-        console: to print on.
+        page: Everything but the figures.
+        metrics: Plain data.
+        figures: Figures, each drawn when the iterator is advanced.
+        folder: An existing folder.
+        console: Console that shows the paths.
+        film: Makes a film of the flight after the figures, and returns its file.
     """
+    html, data = folder / "report.html", folder / "report.json"
+    write_report(metrics, data)  # first, in case a later step fails
     saved = save_figures(figures, folder, _DPI)
+    made = film() if film is not None else None
+    files = [path for path in dict.fromkeys([*([made] if made else []), *page.files]) if path.exists()]
     images = [(title, path.stem, base64.b64encode(path.read_bytes()).decode()) for title, path in saved]
     template = jinja2.Environment(autoescape=True).from_string(_TEMPLATE)
-    html, data = folder / "report.html", folder / "report.json"
-    print_page(page, console)  # first: the disk may be full
-    write_whole(html, template.render(page=page, images=images))
-    write_report(metrics, data)
-    print_paths([html, data, *(path for _, path in saved)], console)
+    links = [os.path.relpath(path, folder) for path in files]
+    write_whole(html, template.render(page=page, images=images, files=links))
+    print_paths([html, data, *(path for _, path in saved), *files], console)
 
 
 def print_page(page: ReportPage, console: Console) -> None:
     """Print a report without its long tables."""
     console.print(f"[bold]{escape(page.title)}[/bold]", highlight=False)
-    console.print(escape(page.summary), highlight=False)
     for table in page.tables:
         if table.rows and not table.long:
             print_table(table, console)
+    console.print(escape(page.summary), highlight=False, soft_wrap=True)
+    for text in page.missed:
+        console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)
     for note in page.notes:
         console.print(f"[yellow]Note:[/yellow] {escape(note)}", highlight=False, soft_wrap=True)
+
+
+def print_paths(paths: Iterable[Path], console: Console) -> None:
+    """Print the paths of results, one per line."""
+    for path in paths:
+        console.print(f"  {path}", highlight=False, soft_wrap=True, markup=False)

@@ -70,7 +70,7 @@ def odometry_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
     """Return the table of odometry against the truth.
 
     Args:
-        rows: see :class:`~xtdrone_interaction.metrics.missions.odometry_errors.OdometryErrors`.
+        rows: Metrics of each, see :class:`~xtdrone_interaction.metrics.odometry_errors.OdometryErrors`.
     """
     head = ("odometry", "aligned", "path (m)", "ATE (m)", "max (m)", "end (m)", "drift (%)", "RPE (%)")
     keys = (("way", 1), ("ate", 3), ("greatest", 3), ("end", 3), ("drift", 3), ("rpe_percent", 2))
@@ -85,7 +85,7 @@ def map_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
     """Return the table of maps against the true surfaces.
 
     Args:
-        rows: see :class:`~xtdrone_interaction.metrics.map_accuracy.MapAccuracy`.
+        rows: metrics of each map, see ``missions.true_surfaces``.
     """
     head = ("map", "points", "error (m)", "gap (m)", "chamfer (m)", "precision (%)", "recall (%)", "F (%)")
     keys = ("error", "gap", "chamfer"), ("precision", "recall", "f_score")
@@ -99,32 +99,6 @@ def map_table(rows: Iterable[dict[str, Any]]) -> ReportTable:
         for row in rows
     ]
     return ReportTable("Maps against the true surfaces, at 0.1 m", head, texts)
-
-
-def formation_table(reconfigurations: Iterable[dict[str, Any]], title: str = "Formation") -> ReportTable:
-    """Return the table of a formation flight.
-
-    Args:
-        reconfigurations: as in the report, see
-            :class:`~xtdrone_interaction.metrics.missions.formation_metrics.Reconfiguration`.
-        title: above it.
-    """
-    rows = [
-        (
-            item["pattern"],
-            "never" if item["settling_time"] is None else f"{item['settling_time']:.2f}",
-            f"{item['overshoot']:.2f} ({item['overshoot_percent']:.0f}%)",
-            f"{item['steady_error_mean']:.3f}/{item['steady_error_max']:.3f}",
-            f"{item['least_distance']:.2f}",
-            f"{item['assigned_distance']:.2f}",
-            f"{item['optimal_distance']:.2f}",
-        )
-        for item in reconfigurations
-    ]
-    # Line breaks make it fit into 80 columns.
-    head = ("pattern", "settled\nafter (s)", "overshoot\n(m)", "steady (m)\nmean/max", "least\ngap (m)",
-            "assigned\n(m)", "optimum\n(m)")  # fmt: skip
-    return ReportTable(title, head, rows)
 
 
 def vehicles_table(vehicles: dict[str, dict[str, Any]]) -> ReportTable:

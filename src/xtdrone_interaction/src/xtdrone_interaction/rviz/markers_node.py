@@ -23,8 +23,8 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.poses import Pose
 from xtdrone_control.programs.node_command_line import check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.formation.distances import offsets_from_message
-from xtdrone_interaction.formation.shared_topics_and_names import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC
+from xtdrone_interaction.recording.distances import offsets_from_message
+from xtdrone_interaction.recording.topics import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.view_configurations import FOR_MARKERS
 from xtdrone_interaction.rviz.world_markers import WorldMarkers

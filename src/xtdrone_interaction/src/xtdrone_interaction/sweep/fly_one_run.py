@@ -18,9 +18,9 @@ from xtdrone_coordination.follower import Follower, FollowerOptions
 from xtdrone_coordination.leader import Leader, LeaderOptions
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_interaction.formation.distances import Array, least_distances
-from xtdrone_interaction.metrics.missions.formation_metrics import measure
-from xtdrone_interaction.recording.missions.formation_record import FormationRecord
+from xtdrone_interaction.missions.formation.metrics import measure
+from xtdrone_interaction.missions.formation.record import FormationRecord
+from xtdrone_interaction.recording.distances import Array, least_distances
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import Change
 from xtdrone_interaction.sweep.study.study_parameters import CLASS, DEFAULTS, Value, group_of
@@ -225,7 +225,7 @@ def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) 
 
 def _mission(swarm: Swarm, patterns: Sequence[str]) -> FormationRecord:
     """Fly the demo's whole mission, takeoff to landing."""
-    from xtdrone_interaction.formation.swarm_flight import fly_formation
+    from xtdrone_interaction.missions.formation.swarm_flight import fly_formation
 
     record = fly_formation(swarm, patterns)
     if record.events[-1]["event"] != "done":

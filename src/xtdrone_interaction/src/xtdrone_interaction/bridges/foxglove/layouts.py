@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from xtdrone_control.fleet import Vehicle
-from xtdrone_interaction.recording.missions.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.recording.topics import SEARCH_EVENTS_TOPIC, SEARCH_PROGRESS_TOPIC
 from xtdrone_interaction.rviz.markers_node import TOPIC as MARKERS_TOPIC
 
 _PLOTTED = 12  # vehicles with lines in a plot; more could not be distinguished
@@ -90,8 +90,8 @@ def _search(names: Sequence[str]) -> tuple[dict[str, Panel], _Half]:
     pictures = {f"Image!{i}": _image(f"/uav_{i}/darknet_ros/detection_image") for i in range(len(names[:_PICTURES]))}
     panels = {
         "3D!search": _scene(names, [MARKERS_TOPIC, "/tf"]),
-        "RawMessages!progress": {"topicPath": f"{PROGRESS_TOPIC}.data", "diffEnabled": False},
-        "RawMessages!event": {"topicPath": f"{EVENTS_TOPIC}.data", "diffEnabled": False},
+        "RawMessages!progress": {"topicPath": f"{SEARCH_PROGRESS_TOPIC}.data", "diffEnabled": False},
+        "RawMessages!event": {"topicPath": f"{SEARCH_EVENTS_TOPIC}.data", "diffEnabled": False},
         "Plot!height": _plot("height, m", [(n, f"{_pose(n)}.pose.position.z") for n in names]),
         **pictures,
         **_common(names),

@@ -160,7 +160,7 @@ def film_bag(settings: FilmSettings, path: Path, work: Path, console: Console) -
 
 def flown_world(bag: Path) -> str:
     """Return the world of a recorded flight from the files next to its bag; empty if unknown."""
-    from xtdrone_interaction.demos.search.search_prepare import WORLD  # shapely is slow to import
+    from xtdrone_interaction.missions.search.prepare import WORLD  # shapely is slow to import
 
     searched = bag.absolute().parent / WORLD
     if searched.is_file():

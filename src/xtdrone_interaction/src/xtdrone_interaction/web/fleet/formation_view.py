@@ -8,8 +8,8 @@ import numpy as np
 import rospy
 from std_msgs.msg import Float32MultiArray, Int32MultiArray
 
-from xtdrone_interaction.formation.distances import offsets_from_message
-from xtdrone_interaction.formation.shared_topics_and_names import PATTERN_TOPIC, TOPOLOGY_TOPIC
+from xtdrone_interaction.recording.distances import offsets_from_message
+from xtdrone_interaction.recording.topics import PATTERN_TOPIC, TOPOLOGY_TOPIC
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.server.methods import Method, Params
 from xtdrone_interaction.web.server.session import Session

@@ -1,1 +1,0 @@
-"""The demos of ``./xtdrone demo``: the commands, their flights and their reports."""

@@ -1,1 +1,0 @@
-"""The formation flight as a demo: on the full stack, and simplified."""

@@ -1,1 +1,0 @@
-"""The cooperative search as a demo: preparation, flight, options."""

@@ -1,1 +1,0 @@
-"""Metrics of one kind of flight each: formation, search, through obstacles, by odometry."""

@@ -1,0 +1,1 @@
+"""The landing of a UAV on a ground robot with AprilTags."""

@@ -1,0 +1,1 @@
+"""The flight by odometry alone, without GPS."""
