@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.fleet import MAX_VEHICLES
 from xtdrone_control.mavlink.wire.codec import FrameError, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
-from xtdrone_interaction import sim_cli
+from xtdrone_interaction import simulation_services
 
 from .exchanges import exchange
 from .station import TIMEOUT, GroundStation
@@ -23,7 +23,7 @@ from .udp_tcp_serial import open_connection
 from .vehicle_addresses import ANY, LOOPBACK, GcsError, Peer, numbered
 
 _LIMIT = 3.0  # s for vehicles to answer
-_RUNS = (Path("runs"), sim_cli.RUNS)
+_RUNS = (Path("runs"), simulation_services.RUNS)
 
 
 def running_fleet(instance: int) -> str:
@@ -31,8 +31,10 @@ def running_fleet(instance: int) -> str:
 
     Empty if none is found by ROS_MASTER_URI or the flights of this workspace: an autopilot may run without ROS.
     """
-    for place in (None, *sim_cli.flights(_RUNS)):
-        with contextlib.suppress(OSError, sim_cli.SimError):  # a flight that ends or starts now, another program
+    for place in (None, *simulation_services.flights(_RUNS)):
+        with contextlib.suppress(
+            OSError, simulation_services.SimError
+        ):  # a flight that ends or starts now, another program
             fleet = _fleet(_master(place), instance)
             if fleet:
                 return fleet
@@ -42,16 +44,16 @@ def running_fleet(instance: int) -> str:
 def _master(file: Path | None) -> str:
     """Return the master that a flight has written to its file; that of the environment for None."""
     if file is None:
-        return os.environ.get("ROS_MASTER_URI", sim_cli.DEFAULT_MASTER)
+        return os.environ.get("ROS_MASTER_URI", simulation_services.DEFAULT_MASTER)
     return file.read_text(encoding="utf-8").strip()
 
 
 def _fleet(master: str, instance: int) -> str:
-    if sim_cli.find_service(master, "/simulator/get_status") is None:
+    if simulation_services.find_service(master, "/simulator/get_status") is None:
         return ""
-    if (sim_cli.parameter(master, "/xtdrone/instance") or 0) != instance:
+    if (simulation_services.parameter(master, "/xtdrone/instance") or 0) != instance:
         return ""
-    return str(sim_cli.parameter(master, "/xtdrone/fleet") or "")
+    return str(simulation_services.parameter(master, "/xtdrone/fleet") or "")
 
 
 def find(host: str = LOOPBACK, limit: float = _LIMIT, instance: int = 0) -> list[Peer]:

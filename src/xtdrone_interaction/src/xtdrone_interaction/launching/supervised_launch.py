@@ -33,7 +33,7 @@ from xtdrone_interaction.monitoring.launch_log_errors import advice, error_lines
 from xtdrone_interaction.monitoring.missing_nodes import not_joined
 from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.monitoring.startup_progress import Startup
-from xtdrone_interaction.sim_cli import MASTER_FILE, announce
+from xtdrone_interaction.simulation_services import MASTER_FILE, announce
 
 _POLL = 0.2  # s between two polls of the processes
 _LOGS_PERIOD = 1.0  # s between two reads of the logs
