@@ -9,6 +9,7 @@ master of its environment. The saved import is the smaller gain: a command start
 from __future__ import annotations
 
 import argparse
+import contextlib
 import http.client
 import os
 import xml.parsers.expat
@@ -144,6 +145,21 @@ def flights(runs: Sequence[Path]) -> Iterator[Path]:
     files = {file.resolve() for folder in runs for file in folder.glob(f"*/{MASTER_FILE}")}
     files |= {file.resolve() for folder in runs for file in map(_pointed, (folder / _POINTERS).glob("*")) if file}
     yield from sorted(files, key=lambda file: file.stat().st_mtime, reverse=True)
+
+
+def running_fleet(instance: int) -> str:
+    """Return the vehicles of the simulation with this number that runs on this machine, as ``parse_fleet`` reads them.
+
+    Empty if none is found by ROS_MASTER_URI or the flights of this workspace: an autopilot may run without ROS.
+    """
+    for file in (None, *flights((Path("runs"), RUNS))):
+        with contextlib.suppress(OSError, SimError):  # a flight that ends or starts now, another program
+            uri = os.environ.get("ROS_MASTER_URI", DEFAULT_MASTER) if file is None else file.read_text("utf-8").strip()
+            if find_service(uri, "/simulator/get_status") and (parameter(uri, "/xtdrone/instance") or 0) == instance:
+                fleet = str(parameter(uri, "/xtdrone/fleet") or "")
+                if fleet:
+                    return fleet
+    return ""
 
 
 def announce(flight: Path, runs: Path = RUNS) -> Path | None:

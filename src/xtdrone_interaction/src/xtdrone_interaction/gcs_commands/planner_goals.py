@@ -11,9 +11,8 @@ import numpy as np
 
 from xtdrone_control.settings import SettingError
 from xtdrone_interaction import simulation_services
+from xtdrone_interaction.gcs.vehicle_addresses import GcsError
 from xtdrone_planning.replanning.settings import GoalError, PlannerSettings
-
-from .vehicle_addresses import GcsError
 
 _CONNECTIONS = 5.0  # s of wall time for the connections to the planners
 _REPORT = 3.0  # s of wall time for a report of the vehicle
