@@ -26,8 +26,7 @@ from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
 from xtdrone_interaction.command_options import OptionError, check_master_port, free_port, repository
 from xtdrone_interaction.formation.flight_events import read_events
 from xtdrone_interaction.launching.message_feed import Feed, answers
-from xtdrone_interaction.launching.process_tree import ProcessTree
-from xtdrone_interaction.launching.roslaunch_ahead import roslaunch_words
+from xtdrone_interaction.launching.process_tree import ProcessTree, roslaunch_words
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.monitoring.launch_log_errors import advice, error_lines
 from xtdrone_interaction.monitoring.missing_nodes import not_joined
