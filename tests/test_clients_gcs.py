@@ -14,10 +14,10 @@ from xtdrone_control import modes
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.mavlink_server import MavlinkServer
 from xtdrone_interaction.gcs import GroundStation, Peer
-from xtdrone_interaction.gcs.command_line.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import exchange, logs, parameters
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 from xtdrone_interaction.gcs.vehicle_state import VehicleState
+from xtdrone_interaction.gcs_commands.gcs_cli import main
 from xtdrone_sim.simulation import Simulation
 
 FIRST = 230

@@ -153,8 +153,8 @@ def test_states_and_links_come_at_250_hz(stack: Stack) -> None:
 def test_the_ground_station_knows_the_names(
     stack: Stack, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from xtdrone_interaction.gcs.command_line.gcs_cli import main
-    from xtdrone_interaction.gcs.search_for_vehicles import running_fleet
+    from xtdrone_interaction.gcs_commands.gcs_cli import main
+    from xtdrone_interaction.simulation_services import running_fleet
 
     monkeypatch.setenv("ROS_MASTER_URI", stack.graph.uri)
     monkeypatch.chdir(stack.folder)  # flights of the workspace are listed, too

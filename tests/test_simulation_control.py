@@ -465,7 +465,7 @@ def test_the_command_line_rejects(stack: Stack) -> None:
 
 
 def test_the_command_line_finds_a_flight(stack: Stack, tmp_path: Path) -> None:
-    from xtdrone_interaction.sim_cli import SimError, choose_master
+    from xtdrone_interaction.simulation_services import SimError, choose_master
 
     nobody = "http://127.0.0.1:1"
     for name, uri in (("old", nobody), ("new", stack.graph.uri), ("newest", nobody)):

@@ -27,11 +27,7 @@ LIMIT = 600.0  # s of wall time for one block
 _FENCE = re.compile(r"^```(\w+)(?: +(\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _SHOWN = ("text", "console")
 _LAUNCHER = """#!/bin/sh
-case "$1" in
-  gcs) shift; exec python -m xtdrone_interaction.gcs "$@" ;;
-  sim) shift; exec python -m xtdrone_interaction.sim_cli "$@" ;;
-  *) exec python -m xtdrone_interaction "$@" ;;
-esac
+exec python -m xtdrone_interaction "$@"
 """
 
 

@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Any
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_interaction.sweep.dask_execution import Executor, local_client
+from xtdrone_interaction.studies.dask_execution import Executor, local_client
 from xtdrone_interaction.sweep.fly_one_run import fly_batch
 
 _COMMON = {

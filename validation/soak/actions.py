@@ -213,7 +213,8 @@ class Actions:
         folder = self._stack.folder / "clients" / node
         folder.mkdir(parents=True)
         words = {"params": [str(folder)], "logs": ["--to", str(folder)], "status": []}[what]
-        command = [sys.executable, "-m", "xtdrone_interaction.gcs", *_CLIENTS[what], *words, "--vehicle", str(vehicle)]
+        gcs = [sys.executable, "-m", "xtdrone_interaction", "gcs"]
+        command = [*gcs, *_CLIENTS[what], *words, "--vehicle", str(vehicle)]
         started = self._nodes.start(what, node, command, allowed=_CLIENT_STATUSES)
         self._stack.wait_for(lambda: not started.alive or _speaks(started), _CONNECT_LIMIT)
 

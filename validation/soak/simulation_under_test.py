@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.process_use import process_tree, program
-from xtdrone_interaction import command_options, sim_cli
+from xtdrone_interaction import command_options, simulation_services
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.launching.scripted_launch import PATIENCE, StopRequest, launch_command, launch_environment
 
@@ -156,7 +156,7 @@ class Stack:
         """
 
         def up() -> bool:
-            with contextlib.suppress(sim_cli.SimError):
+            with contextlib.suppress(simulation_services.SimError):
                 return "/mavros" in self.status().participants
             return False
 
@@ -166,7 +166,7 @@ class Stack:
     # ---- services and master
 
     def call(self, name: str, kind: Any, request: Any, limit: float | None = _ANSWER_LIMIT) -> Any:
-        """Call a service, with retries while the request could not be sent; see ``sim_cli.call``.
+        """Call a service, with retries while the request could not be sent; see ``simulation_services.call``.
 
         Raises:
             SimError: the service rejects the request, or does not respond.
@@ -174,13 +174,13 @@ class Stack:
         """
         for _ in range(_TRIES):
             try:
-                return sim_cli.call(self.uri, name, kind, request, limit)
-            except sim_cli.SimError as error:
+                return simulation_services.call(self.uri, name, kind, request, limit)
+            except simulation_services.SimError as error:
                 if not _UNSENT.search(str(error)):
                     raise
             self.check()
             time.sleep(_BETWEEN_TRIES)
-        return sim_cli.call(self.uri, name, kind, request, limit)
+        return simulation_services.call(self.uri, name, kind, request, limit)
 
     def status(self) -> Any:
         """Return the SimulationStatus."""
@@ -244,7 +244,7 @@ class Stack:
         try:
             self._await(answer)
             response = answer.result()
-        except sim_cli.SimError as error:
+        except simulation_services.SimError as error:
             self.check()
             raise SoakError(f"step: {error}") from error
         if not response.success and _stamp_us(response.sim_time) <= self._sim_us:

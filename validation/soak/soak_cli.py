@@ -30,7 +30,7 @@ from xtdrone_interaction.command_options import OptionError, seed_setting, vehic
 from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.launching.scripted_launch import LaunchError, Stopped, StopRequest
 from xtdrone_interaction.machine_facts import machine_facts
-from xtdrone_interaction.sim_cli import SimError
+from xtdrone_interaction.simulation_services import SimError
 
 _JUDGE_LIMIT = 1800.0  # s of wall time to judge the remaining files at the end
 _JUDGE_LIMIT_STOPPED = 60.0

@@ -9,13 +9,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.mavlink.wire.codec import decoder
 from xtdrone_interaction.gcs.exchanges.exchange import Heartbeat
 
-PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-COPTER, ROVER, PLANE = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_FIXED_WING
+PX4, COPTER = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_TYPE_QUADROTOR
 _MAV = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
 
 
-def beat(autopilot=PX4, kind=COPTER):
-    return Heartbeat(7, autopilot, kind, 1, 0)
+def beat():
+    return Heartbeat(7, PX4, COPTER, 1, 0)
 
 
 def told(message):

@@ -12,8 +12,9 @@ import pytest
 
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE
 from xtdrone_interaction.doctor import machine_check
-from xtdrone_interaction.doctor.failing_check_remedies import CHECKS, UNKNOWN_CHECK
 from xtdrone_interaction.doctor.findings import (
+    _UNKNOWN_CHECK,
+    CHECK_REMEDIES,
     Check,
     Finding,
     Graph,
@@ -66,7 +67,7 @@ def test_a_vehicle_with_a_stream_of_setpoints_has_no_findings() -> None:
         (vehicle(POSITION), HEALTHY, "arming: No valid local position estimate -> after the start"),
         (vehicle(POSITION, system_status=1), HEALTHY, "arming: the estimator is starting: No valid local position"),
         (vehicle(POSITION, armed=True), HEALTHY, "OFFBOARD: No valid local position estimate -> "),
-        (vehicle(Check("", "arming check 0x12, which is not known here", True, False)), HEALTHY, UNKNOWN_CHECK),
+        (vehicle(Check("", "arming check 0x12, which is not known here", True, False)), HEALTHY, _UNKNOWN_CHECK),
         (vehicle(connected=False, fcu_url="udp://:24540@127.0.0.1:34580"), HEALTHY,
          "link: MAVROS receives no heartbeat from the autopilot (udp://:24540@127.0.0.1:34580)"),
         (vehicle(served=False), Graph(), "MAVROS: no node publishes /iris_0/mavros/state -> start the launch again"),
@@ -103,7 +104,7 @@ def test_a_real_mavros_is_read_by_its_topics(fields: dict[str, object], words: s
 def test_every_check_of_the_autopilot_has_a_remedy() -> None:
     checks = {name for name, definition in CATALOGUE.items() if name.startswith("check_")}
     harmless = {"check_battery_low"}  # a mere warning
-    assert checks - harmless == CHECKS.keys()
+    assert checks - harmless == CHECK_REMEDIES.keys()
 
 
 @pytest.mark.parametrize(

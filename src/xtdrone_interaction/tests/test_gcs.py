@@ -14,9 +14,9 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_interaction.gcs import GcsError, Peer, peers_of, station, upload_plans
-from xtdrone_interaction.gcs.command_line import terminal_output
-from xtdrone_interaction.gcs.command_line.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
+from xtdrone_interaction.gcs_commands import terminal_output
+from xtdrone_interaction.gcs_commands.gcs_cli import main
 
 NAN = float("nan")
 PATIENCE = 120.0  # s; only a broken run takes so long

@@ -1,4 +1,4 @@
-"""Flight commands of the ground station: to PX4 and ArduPilot, and to real ports while time is paused."""
+"""Flight commands of the ground station: to a scripted vehicle, and to real ports while time is paused."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import math
 
 import pytest
 from gcs_field import FIRST, Field, LossyLine
-from gcs_script import ARDUPILOT, COPTER, PLANE, PX4, ROVER, ack, beat, talk, told
+from gcs_script import ack, beat, talk, told
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_interaction.gcs import GcsError, Peer, station
-from xtdrone_interaction.gcs.command_line.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import commands_and_refusals
 from xtdrone_interaction.gcs.exchanges.commands_and_refusals import Target
 from xtdrone_interaction.gcs.exchanges.exchange import RefusalError
+from xtdrone_interaction.gcs_commands.gcs_cli import main
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 ORIGIN = mavlink.MAVLink_gps_global_origin_message(473977420, 85455940, 488_000, 0)
@@ -53,15 +53,6 @@ def test_a_px4_gets_a_takeoff_altitude_and_is_then_armed():
     assert vehicle.obeyed[0].param7 == 494.0
     assert math.isnan(vehicle.obeyed[0].param5)
     assert talk(commands_and_refusals.take_off(beat(), 1.0), vehicle) == 2.5  # the autopilot's minimum
-
-
-def test_an_ardupilot_is_guided_and_armed_and_takes_off_to_a_height():
-    vehicle = Obedient()
-    talk(commands_and_refusals.take_off(beat(ARDUPILOT), 5.0), vehicle)
-    assert vehicle.numbers == [
-        mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF
-    ]  # fmt: skip
-    assert (vehicle.obeyed[0].param2, vehicle.obeyed[2].param7) == (4.0, 5.0)
 
 
 def test_no_vehicle_takes_off_twice():
@@ -104,18 +95,11 @@ def test_a_vehicles_missing_state_is_reported(target):
 
 
 @pytest.mark.parametrize(
-    ("autopilot", "kind", "name", "params"),
-    [
-        (PX4, COPTER, "auto.mission", (4, 4)),
-        (PX4, COPTER, "LOITER", (4, 3)),
-        (PX4, COPTER, "position", (3, 0)),
-        (ARDUPILOT, COPTER, "RTL", (6, 0)),
-        (ARDUPILOT, PLANE, "rtl", (11, 0)),
-    ],
+    ("name", "params"), [("auto.mission", (4, 4)), ("LOITER", (4, 3)), ("position", (3, 0)), ("HOLD", (4, 3))]
 )
-def test_modes_by_name(autopilot, kind, name, params):
+def test_modes_by_name(name, params):
     vehicle = Obedient()
-    talk(commands_and_refusals.set_mode(beat(autopilot, kind), name), vehicle)
+    talk(commands_and_refusals.set_mode(beat(), name), vehicle)
     (message,) = vehicle.obeyed
     assert (message.param1, message.param2, message.param3) == (1, *params)
 
@@ -123,15 +107,6 @@ def test_modes_by_name(autopilot, kind, name, params):
 def test_an_invalid_mode():
     with pytest.raises(RefusalError, match=r"mode: 'GUIDED' is not allowed, one of the vehicle's: ACRO, ALTCTL, AUTO"):
         talk(commands_and_refusals.set_mode(beat(), "GUIDED"), Obedient())
-    with pytest.raises(RefusalError, match="neither PX4 nor ArduPilot"):
-        talk(commands_and_refusals.set_mode(beat(0), "GUIDED"), Obedient())
-
-
-@pytest.mark.parametrize(("kind", "mode"), [(COPTER, 17), (ROVER, 4), (PLANE, 12)])
-def test_each_ardupilot_holds_in_its_own_way(kind, mode):
-    vehicle = Obedient()
-    talk(commands_and_refusals.hold(beat(ARDUPILOT, kind)), vehicle)
-    assert vehicle.obeyed[0].param2 == mode
 
 
 def test_a_rejection_has_a_reason_and_completion_is_awaited():

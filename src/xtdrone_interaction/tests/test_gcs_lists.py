@@ -6,16 +6,14 @@ import json
 
 import pytest
 from gcs_field import FIRST, Field
-from gcs_script import ARDUPILOT, talk, told
-from pymavlink.dialects.v20 import common as mavlink
 from test_gcs import survey
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
-from xtdrone_interaction.gcs.command_line.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
+from xtdrone_interaction.gcs_commands.gcs_cli import main
 
 
 @pytest.fixture(scope="module")
@@ -86,67 +84,3 @@ def test_a_plan_for_another_autopilot_is_accepted_with_a_note(field, tmp_path, c
     assert f"mine.plan: drawn for {words}, its items are interpreted as PX4 interprets them" in capsys.readouterr().err
     assert field.lists(0) == [9, 4, 1]
     assert json.loads(qgc_plan.text_of(qgc_plan.read(path)))["mission"]["firmwareType"] == firmware
-
-
-class ArduPilot:
-    """ArduPilot's mission protocol: item 0 of a mission is the home position, and few parameters are stored."""
-
-    def __init__(self):
-        self.home = mavlink.MAVLink_mission_item_int_message(254, 190, 0, 0, 16, 0, 1, 0, 0, 0, 0, 1, 2, 3.0, 0)
-        self.lists = {0: [self.home], 1: [], 2: []}
-        self._arriving = {}
-        self._count = 0
-
-    def __call__(self, message):
-        return [told(answer) for answer in getattr(self, f"_{message.get_type().lower()}", lambda _: [])(message)]
-
-    def _mission_count(self, message):
-        self._arriving, self._count = {}, message.count
-        return self._go_on(message.mission_type)
-
-    def _mission_item_int(self, message):
-        self._arriving[message.seq] = message
-        return self._go_on(message.mission_type)
-
-    def _go_on(self, kind):
-        if len(self._arriving) < self._count:
-            return [mavlink.MAVLink_mission_request_int_message(254, 190, len(self._arriving), kind)]
-        items = [self._arriving[seq] for seq in sorted(self._arriving)]
-        self.lists[kind] = [self.home, *items[1:]] if kind == 0 else items
-        return [mavlink.MAVLink_mission_ack_message(254, 190, 0, kind)]
-
-    def _mission_request_list(self, message):
-        kind = message.mission_type
-        return [mavlink.MAVLink_mission_count_message(254, 190, len(self.lists[kind]), kind)]
-
-    def _mission_request_int(self, message):
-        kind, item = message.mission_type, self.lists[message.mission_type][message.seq]
-        first = item.param1 if item.command in (plan.JUMP, *range(5000, 5005)) else 0.0
-        return [
-            mavlink.MAVLink_mission_item_int_message(
-                *(254, 190, message.seq, item.frame, item.command, 0, 1),
-                *(first, 0.0, 0.0, 0.0, item.x, item.y, item.z, kind),
-            )
-        ]
-
-    def _mission_clear_all(self, _):
-        self.lists = {0: [self.home], 1: [], 2: []}
-        return [mavlink.MAVLink_mission_ack_message(254, 190, 0, 255)]
-
-    def _command_long(self, message):
-        return [mavlink.MAVLink_command_ack_message(message.command, mavlink.MAV_RESULT_DENIED)]
-
-
-def test_an_ardupilots_first_item_is_its_home():
-    vehicle, content = ArduPilot(), survey(0)
-    talk(plan_exchanges.upload_plan(7, content, autopilot=ARDUPILOT), vehicle)
-    assert [item.command for item in vehicle.lists[0]] == [16, *(item.command for item in content.mission)]
-    assert vehicle.lists[0][-1].param1 == 2.0  # a jump to the plan's item 1
-    found = talk(plan_exchanges.download_plan(7, autopilot=ARDUPILOT), vehicle)
-    assert (found.mission[-1].params[0], found.drawn_for) == (1.0, "ArduPilot")
-    for kind in plan.KINDS:
-        assert plan_exchanges.difference(content.items(kind), found.items(kind), kind, ARDUPILOT) == ""
-    assert "8 items came back of 9" in plan_exchanges.difference(content.mission, found.mission[1:], 0, ARDUPILOT)
-    talk(plan_exchanges.clear_plan(7, autopilot=ARDUPILOT), vehicle)
-    assert vehicle.lists == {0: [vehicle.home], 1: [], 2: []}
-    talk(plan_exchanges.upload_plan(7, Plan(()), autopilot=ARDUPILOT), vehicle)

@@ -11,11 +11,11 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.logger.log_folder import LogFolder
 from xtdrone_interaction.gcs import GcsError, Peer, station
-from xtdrone_interaction.gcs.command_line import logs as log_commands
-from xtdrone_interaction.gcs.command_line.gcs_cli import main
 from xtdrone_interaction.gcs.exchanges import logs
 from xtdrone_interaction.gcs.exchanges.exchange import RefusalError
 from xtdrone_interaction.gcs.exchanges.logs import Log
+from xtdrone_interaction.gcs_commands import logs as log_commands
+from xtdrone_interaction.gcs_commands.gcs_cli import main
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 SIZES = {"2020-01-01/00_00_05.ulg": 90 * 300 + 17, "2020-01-01/00_10_00.ulg": 1000, "2020-01-02/00_00_00.ulg": 90}

@@ -19,14 +19,14 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_interaction.gcs import GcsError, Peer, search_for_vehicles
-from xtdrone_interaction.gcs.command_line import status_table as status_command
-from xtdrone_interaction.gcs.command_line.gcs_cli import main
-from xtdrone_interaction.gcs.command_line.terminal_output import Screen
 from xtdrone_interaction.gcs.exchanges import exchange
 from xtdrone_interaction.gcs.station import GroundStation
 from xtdrone_interaction.gcs.udp_tcp_serial import open_connection, split_stream
 from xtdrone_interaction.gcs.vehicle_addresses import choose_systems, numbered, parse_address
 from xtdrone_interaction.gcs.vehicle_state import VehicleState
+from xtdrone_interaction.gcs_commands import status_table as status_command
+from xtdrone_interaction.gcs_commands.gcs_cli import main
+from xtdrone_interaction.gcs_commands.terminal_output import Screen
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 
@@ -232,11 +232,15 @@ def test_several_vehicles_over_one_line(field):
         with GroundStation(peers) as ground:
             greeted = ground.run({peer: exchange.await_heartbeat(peer.system) for peer in peers}, patience=PATIENCE)
             assert [beat.system for beat in greeted.values()] == [3, 7]
+            refused = ground.run(dict.fromkeys(peers, exchange.request_state), patience=PATIENCE)
             states = ground.states()
     finally:
         ended.set()
         thread.join()
-    assert [(state.mode, state.armed, state.autopilot) for state in states] == [("LOITER", True, "ardupilotmega")] * 2
+    assert [(state.mode, state.armed, state.autopilot) for state in states] == [("mode 5", True, "ardupilotmega")] * 2
+    assert {str(result) for result in refused.values()} == {
+        f"system_{system}: autopilot: ardupilotmega is not supported, only PX4" for system in (3, 7)
+    }
 
 
 def test_a_tcp_line_that_ends(field):

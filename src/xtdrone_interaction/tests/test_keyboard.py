@@ -14,8 +14,8 @@ from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.keyboard.arguments import parse_arguments
 from xtdrone_interaction.keyboard.key_bindings import Command, Message, Pilot, Setpoint, Target, digits
-from xtdrone_interaction.keyboard.key_decoder import PAGE_DOWN, PAGE_UP, QUIT, KeyDecoder
 from xtdrone_interaction.keyboard.screen import ScreenContent, VehicleStatus, frame, help_lines, layout, sentence
+from xtdrone_interaction.keyboard.terminal import PAGE_DOWN, PAGE_UP, QUIT, KeyDecoder
 
 STEERING = {"w": 0, "x": 0, "a": 1, "d": 1, "i": 2, ",": 2, "j": 3, "l": 3}
 KEYS = [*STEERING, *"tyvnrbskg0123456789"]

@@ -13,7 +13,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
-from xtdrone_interaction import cli, sim_cli
+from xtdrone_interaction import cli, simulation_services
 from xtdrone_interaction.bags.record_by_profile import read_profile, ros_environment, rosbag_arguments
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.recording.flight_events import EventsFile
@@ -124,7 +124,7 @@ def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Replace the workspace's folder of flights by an empty one, and return it."""
     runs = tmp_path / "runs"
     runs.mkdir()
-    monkeypatch.setattr(sim_cli, "RUNS", runs)
+    monkeypatch.setattr(simulation_services, "RUNS", runs)
     monkeypatch.chdir(tmp_path)
     for name in ("ROS_IP", "ROS_HOSTNAME"):
         monkeypatch.delenv(name, raising=False)
@@ -144,7 +144,7 @@ def test_without_a_master_nothing_is_recorded(workspace: Path, capfd: pytest.Cap
 def test_a_demos_flight_is_found_by_its_folder(workspace: Path, masters: Callable[[bool], str]) -> None:
     flight = masters(True)
     (workspace / "one").mkdir()
-    (workspace / "one" / sim_cli.MASTER_FILE).write_text(flight)
+    (workspace / "one" / simulation_services.MASTER_FILE).write_text(flight)
     environment, origin = ros_environment("", launched=False)
     assert (environment["ROS_MASTER_URI"], environment["ROS_IP"]) == (flight, "127.0.0.1")
     assert str(workspace / "one") in origin
@@ -160,7 +160,7 @@ def test_a_master_without_a_simulator_is_that_of_real_uavs(
 
 def test_a_launched_recorder_uses_the_master_of_roslaunch(workspace: Path, masters: Callable[[bool], str]) -> None:
     (workspace / "other").mkdir()
-    (workspace / "other" / sim_cli.MASTER_FILE).write_text(masters(True))
+    (workspace / "other" / simulation_services.MASTER_FILE).write_text(masters(True))
     assert ros_environment("", launched=True) == (dict(os.environ), "")
 
 

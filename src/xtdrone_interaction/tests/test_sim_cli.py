@@ -9,7 +9,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from xtdrone_interaction import cli, service_client, sim_cli
+from xtdrone_interaction import cli, service_client, sim_cli, simulation_services
 
 
 class _WebPage(BaseHTTPRequestHandler):
@@ -64,19 +64,19 @@ def test_times_beyond_the_range_of_ros_are_rejected(option, value, end, capsys):
 def test_a_flight_elsewhere_is_found_until_it_ends(tmp_path):
     runs, flight = tmp_path / "runs", tmp_path / "elsewhere" / "flight"
     flight.mkdir(parents=True)
-    master = flight / sim_cli.MASTER_FILE
+    master = flight / simulation_services.MASTER_FILE
     master.write_text("http://127.0.0.1:1\n")
-    pointer = sim_cli.announce(flight, runs)
-    assert list(sim_cli.flights([runs])) == [master]
+    pointer = simulation_services.announce(flight, runs)
+    assert list(simulation_services.flights([runs])) == [master]
     master.unlink()  # killed: the pointer to it remains
-    assert list(sim_cli.flights([runs])) == []
+    assert list(simulation_services.flights([runs])) == []
     stale = pointer.rename(pointer.with_name("1"))
-    sim_cli.announce(flight, runs)
+    simulation_services.announce(flight, runs)
     assert not stale.exists()
 
 
 def test_a_flight_in_runs_needs_no_pointer(tmp_path):
-    assert sim_cli.announce(tmp_path / "flight", tmp_path) is None
+    assert simulation_services.announce(tmp_path / "flight", tmp_path) is None
 
 
 @pytest.mark.parametrize(
@@ -98,10 +98,10 @@ def test_the_exceeded_limit_is_reported(monkeypatch):
     from std_srvs.srv import Trigger, TriggerRequest
 
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        monkeypatch.setattr(sim_cli, "find_service", lambda master, name: silent.getsockname())
+        monkeypatch.setattr(simulation_services, "find_service", lambda master, name: silent.getsockname())
         monkeypatch.setattr(service_client, "CONNECTION_LIMIT", 0.125)
-        with pytest.raises(sim_cli.SimError, match=r"/simulator/pause has not answered within 0\.125 s"):
-            sim_cli.call("http://127.0.0.1:1", "/simulator/pause", Trigger, TriggerRequest())
+        with pytest.raises(simulation_services.SimError, match=r"/simulator/pause has not answered within 0\.125 s"):
+            simulation_services.call("http://127.0.0.1:1", "/simulator/pause", Trigger, TriggerRequest())
 
 
 def test_ctrl_c_during_a_step_is_reported_and_the_step_continues(monkeypatch, capsys):

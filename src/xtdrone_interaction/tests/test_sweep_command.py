@@ -16,9 +16,9 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from xtdrone_interaction.studies.list_of_runs import Plan
+from xtdrone_interaction.studies.study_file import read_study
 from xtdrone_interaction.sweep.fly_one_run import fly_batch
-from xtdrone_interaction.sweep.study.list_of_runs import Plan
-from xtdrone_interaction.sweep.study.study_file import read_study
 from xtdrone_interaction.sweep.sweep_cli import main
 
 PATIENCE = 120.0  # s; bounds a broken test

@@ -18,17 +18,17 @@ import sweep_standin
 from distributed import Client, as_completed
 
 from xtdrone_interaction import command_options
-from xtdrone_interaction.sweep import dask_execution
-from xtdrone_interaction.sweep.dask_execution import (
+from xtdrone_interaction.studies import dask_execution
+from xtdrone_interaction.studies.dask_execution import (
     Executor,
     SchedulerLostError,
     SweepError,
     local_client,
     remote_client,
 )
+from xtdrone_interaction.studies.list_of_runs import Plan
+from xtdrone_interaction.studies.study_file import make_study
 from xtdrone_interaction.sweep.fly_one_run import fly_batch
-from xtdrone_interaction.sweep.study.list_of_runs import Plan
-from xtdrone_interaction.sweep.study.study_file import make_study
 
 SHORT = {"n": 3, "pattern": "triangle", "limit": 4.0, "hold": 0.5}
 PATIENCE = 120.0  # s; bounds a broken test

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 
-from xtdrone_interaction.command_options import OptionError
-from xtdrone_interaction.sweep.result_store import Store
-from xtdrone_interaction.sweep.sweep_picture import Results, draw, read_results, save_picture
+from xtdrone_interaction.studies.result_store import Store
+from xtdrone_interaction.studies.study_parameters import StudyError
+from xtdrone_interaction.studies.sweep_picture import Results, draw, read_results, save_picture
 
 
 @pytest.fixture(autouse=True)
@@ -90,18 +90,18 @@ def test_wanted_names_count_and_missing_figures_are_counted() -> None:
 
 def test_rejects_by_name(tmp_path: Path) -> None:
     some = results(a=[1, 2])
-    with pytest.raises(OptionError, match="metric: 'beauty' is unknown; there are: settling_time, own"):
+    with pytest.raises(StudyError, match="metric: 'beauty' is unknown; there are: settling_time, own"):
         draw(some, "beauty")
-    with pytest.raises(OptionError, match="x: 'z' is not varied in this study; there are: a, seed"):
+    with pytest.raises(StudyError, match="x: 'z' is not varied in this study; there are: a, seed"):
         draw(some, x="z")
     some.columns["settling_time"] = [None] * 6
     some.columns["own"] = [None] * 6
-    with pytest.raises(OptionError, match="no run has any figure"):
+    with pytest.raises(StudyError, match="no run has any figure"):
         draw(some)
-    with pytest.raises(OptionError, match=r"results: .*none\.parquet"):
+    with pytest.raises(StudyError, match=r"results: .*none\.parquet"):
         read_results(tmp_path / "none.parquet")
     (tmp_path / "bad.parquet").write_text("no")
-    with pytest.raises(OptionError, match=r"bad\.parquet is not of a sweep"):
+    with pytest.raises(StudyError, match=r"bad\.parquet is not of a sweep"):
         read_results(tmp_path / "bad.parquet")
 
 

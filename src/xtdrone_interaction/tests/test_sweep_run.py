@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from xtdrone_interaction.command_options import OptionError
+from xtdrone_interaction.studies.list_of_runs import Plan
+from xtdrone_interaction.studies.study_file import make_study
+from xtdrone_interaction.studies.study_parameters import StudyError
+from xtdrone_interaction.studies.user_code import Source, load
 from xtdrone_interaction.sweep.fly_one_run import fly_row
-from xtdrone_interaction.sweep.study.list_of_runs import Plan
-from xtdrone_interaction.sweep.study.study_file import make_study
-from xtdrone_interaction.sweep.study.user_code import Source, load
 
 MINE = """
 import sys, threading
@@ -87,5 +87,5 @@ def test_a_metric_may_not_take_a_parameters_name(tmp_path: Path) -> None:
 
 
 def test_a_file_that_exits_is_rejected() -> None:
-    with pytest.raises(OptionError, match=r"mine\.py cannot be loaded: SystemExit: 3"):
+    with pytest.raises(StudyError, match=r"mine\.py cannot be loaded: SystemExit: 3"):
         load("follower", Source("/tmp/mine.py", "A", "import sys\nsys.exit(3)\n"))

@@ -16,9 +16,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from xtdrone_interaction.command_options import OptionError
-from xtdrone_interaction.sweep import result_store as stores
-from xtdrone_interaction.sweep.result_store import METADATA, Store
+from xtdrone_interaction.studies import result_store as stores
+from xtdrone_interaction.studies.result_store import METADATA, Store
+from xtdrone_interaction.studies.study_parameters import StudyError
 
 COLUMNS = {"key": str, "seed": int, "n": int, "error": str, "settled": bool, "time": float}
 HEADER = {"study": {"name": "s", "parameters": {"n": [4]}, "constants": {}}}
@@ -80,7 +80,7 @@ def test_committed_rows_are_found_again(tmp_path: Path) -> None:
 WRITER = """
 import sys
 from pathlib import Path
-from xtdrone_interaction.sweep import result_store as stores
+from xtdrone_interaction.studies import result_store as stores
 stores.FLUSH = 0.0
 with stores.Store(Path(sys.argv[1]), {"key": str, "error": str}, {}) as store:
     store.begin()
@@ -113,7 +113,7 @@ def test_a_second_process_is_rejected_and_changes_nothing(tmp_path: Path) -> Non
         second = subprocess.run(
             [sys.executable, "-c", WRITER, str(tmp_path / "a")], capture_output=True, text=True, check=False
         )
-        assert "OptionError: out: another sweep is running in" in second.stderr
+        assert "StudyError: out: another sweep is running in" in second.stderr
         store.add([row(1)])
     with opened(tmp_path / "a") as again:
         assert again.rows == {"k0": True, "k1": True}
@@ -182,23 +182,19 @@ def test_dropped_runs_are_removed_and_others_remain(tmp_path: Path) -> None:
 
 def test_rejects_folders_by_name(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(OptionError, match=r"file' is a file; a folder is needed"):
+    with pytest.raises(StudyError, match=r"file' is a file; a folder is needed"):
         opened(tmp_path / "file")
-    with pytest.raises(OptionError, match="is not empty and no sweep's folder"):
+    with pytest.raises(StudyError, match="is not empty and no sweep's folder"):
         opened(tmp_path)
     with opened(tmp_path / "a") as store:
         store.add([row(0)])
-        with pytest.raises(OptionError, match="another sweep is running in"):
+        with pytest.raises(StudyError, match="another sweep is running in"):
             opened(tmp_path / "a")
     database = sqlite3.connect(tmp_path / "a" / "runs.sqlite")
     database.execute("PRAGMA user_version = 99")
     database.close()
-    with pytest.raises(OptionError, match=r"runs\.sqlite has format 99; 2 is understood"):
+    with pytest.raises(StudyError, match=r"runs\.sqlite has format 99; 2 is understood"):
         opened(tmp_path / "a")
     (tmp_path / "a" / "runs.sqlite").write_text("{" * 200)
-    with pytest.raises(OptionError, match=r"runs\.sqlite is damaged: file is not a database"):
+    with pytest.raises(StudyError, match=r"runs\.sqlite is damaged: file is not a database"):
         opened(tmp_path / "a")
-    (tmp_path / "old" / "parts").mkdir(parents=True)
-    (tmp_path / "old" / "study.json").write_text('{"format": 1}')
-    with pytest.raises(OptionError, match="holds a sweep of an earlier version, which cannot be continued"):
-        opened(tmp_path / "old")

@@ -27,7 +27,7 @@ from xtdrone_control.geodesy.projection import Datum
 from xtdrone_control.settings import SettingError
 from xtdrone_interaction.doctor.findings import Graph, Vehicle
 from xtdrone_interaction.doctor.graph import Master
-from xtdrone_interaction.sim_cli import SimError
+from xtdrone_interaction.simulation_services import SimError
 from xtdrone_interaction.web.commands.swarm_commands import checked_slots
 from xtdrone_interaction.web.commands.vehicle_commands import VehicleCommand, chosen_vehicles, goals_of
 from xtdrone_interaction.web.context import StationContext

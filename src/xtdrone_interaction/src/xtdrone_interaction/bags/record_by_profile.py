@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.files import ContentError, load_yaml, read_text
-from xtdrone_interaction import command_options, sim_cli
+from xtdrone_interaction import command_options, simulation_services
 from xtdrone_interaction.command_options import OptionError
 
 PROFILES = Path("src") / "xtdrone_interaction" / "config" / "record_profiles"
@@ -126,20 +126,20 @@ def ros_environment(given: str, launched: bool) -> tuple[dict[str, str], str]:
         launched: started by roslaunch, which sets the master.
 
     Raises:
-        sim_cli.SimError: no master answers.
+        simulation_services.SimError: no master answers.
     """
     environment = dict(os.environ)
     usual = environment.get("ROS_MASTER_URI", "")
     if launched:
         return environment, ""
     try:
-        master, origin = sim_cli.choose_master(given, usual, [Path("runs"), sim_cli.RUNS])
-    except sim_cli.SimError:
-        if not _answers(usual or sim_cli.DEFAULT_MASTER):
+        master, origin = simulation_services.choose_master(given, usual, [Path("runs"), simulation_services.RUNS])
+    except simulation_services.SimError:
+        if not _answers(usual or simulation_services.DEFAULT_MASTER):
             raise
         return environment, ""
     if given and not _answers(master):
-        raise sim_cli.SimError(f"master: none answers at {master}")
+        raise simulation_services.SimError(f"master: none answers at {master}")
     environment["ROS_MASTER_URI"] = master
     if origin and not {"ROS_IP", "ROS_HOSTNAME"} & environment.keys():
         environment["ROS_IP"] = "127.0.0.1"
@@ -148,8 +148,8 @@ def ros_environment(given: str, launched: bool) -> tuple[dict[str, str], str]:
 
 def _answers(master: str) -> bool:
     try:
-        sim_cli.find_service(master, "/rosout/get_loggers")
-    except (OSError, sim_cli.SimError):
+        simulation_services.find_service(master, "/rosout/get_loggers")
+    except (OSError, simulation_services.SimError):
         return False
     return True
 
@@ -165,7 +165,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", metavar="NAME", help="path of the files without number and suffix (default: runs/<time>-<profile>)")
     add("--split", metavar="MB", type=int, help="start a new file after this many MB (default: from the profile)")
     add("--duration", metavar="TIME", help="record one file for this time: 30 (s), 5m, 2h (default: until Ctrl-C)")
-    add("--master", metavar="PORT|URI", type=sim_cli.master_uri,
+    add("--master", metavar="PORT|URI", type=simulation_services.master_uri,
         help="the flight's ROS master (default: ROS_MASTER_URI; without a simulator there, the newest flight of "
         "./xtdrone demo)")  # fmt: skip
 
@@ -206,7 +206,7 @@ def run(arguments: argparse.Namespace) -> int:
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2
-    except sim_cli.SimError as error:
+    except simulation_services.SimError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 1
     if origin:

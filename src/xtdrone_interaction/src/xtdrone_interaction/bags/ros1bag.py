@@ -12,8 +12,9 @@ from __future__ import annotations
 import bz2
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -25,7 +26,6 @@ from xtdrone_interaction.bags.scan import CONNECTION, scan_records
 
 MAGIC = b"#ROSBAG V"
 _VERSION = b"#ROSBAG V2.0\n"
-_MESSAGE, _BAG_HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
 _PIECE = 4 << 20  # bytes decompressed at once
 _FEW = 4096  # compressed bytes
 _DAMAGE = (OSError, RuntimeError, EOFError)  # raised by decompressors
@@ -37,8 +37,21 @@ _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
 _BEFORE_MARK = (0, 20, 19)  # bytes of a chunk's header before its op: none, compression=none, compression=lz4 or bz2
 
 
+class RecordType(IntEnum):
+    """The field ``op`` of a record's header."""
+
+    MESSAGE = 2
+    BAG_HEADER = 3
+    CHUNK = 5
+    CONNECTION = 7
+
+
 class BagError(ValueError):
     """A file that cannot be read as a bag."""
+
+
+class _ChunkError(Exception):
+    """The rest of a chunk cannot be read; the message is a predicate, the chunk its subject."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +89,23 @@ class Batch(NamedTuple):
     time: NDArray[np.int64]
     offset: NDArray[np.int64]
     length: NDArray[np.int64]
+
+
+class _Extent(NamedTuple):
+    """The extent of a chunk's data in the file.
+
+    Attributes:
+        begin, end: First byte, and the one after the last.
+        is_open: Whether the recorder was still writing it, so that its header states no size.
+        has_follower: Whether another chunk begins where its data should be.
+        is_short: Whether it ends before its stated end.
+    """
+
+    begin: int
+    end: int
+    is_open: bool
+    has_follower: bool
+    is_short: bool
 
 
 class BagFile:
@@ -141,16 +171,16 @@ class BagFile:
                 fields, size = header
                 kind = fields.get(b"op", b"\0")[0]
                 begin = file.tell()
-                if kind == _CHUNK:
-                    yield from self._chunk(file, fields, begin, size)
+                if kind == RecordType.CHUNK:
+                    yield from self._read_chunk(file, fields, begin, size)
                     continue
                 if begin + size > self.size:
                     if not self._found_next_chunk(file, at):
                         return
                     continue
-                if kind == _CONNECTION:
+                if kind == RecordType.CONNECTION:
                     self._add_connection(fields, file.read(size))
-                elif kind == _BAG_HEADER:
+                elif kind == RecordType.BAG_HEADER:
                     self._check_header(fields)
                     self._read_index(file, fields)
                 file.seek(begin + size)
@@ -172,7 +202,7 @@ class BagFile:
     def _read_index(self, file: BinaryIO, fields: dict[bytes, bytes]) -> None:
         """Read the connections repeated in the index; those in a chunk may be damaged."""
         file.seek(min(int.from_bytes(fields.get(b"index_pos", b""), "little"), self.size) or self.size)
-        while (header := _read_header(file, self.size)) is not None and header[0][b"op"][0] == _CONNECTION:
+        while (header := _read_header(file, self.size)) is not None and header[0][b"op"][0] == RecordType.CONNECTION:
             self._add_connection(header[0], file.read(header[1]))
 
     def _note_damage(self, text: str) -> None:
@@ -212,55 +242,62 @@ class BagFile:
             begin += _PIECE - len(_CHUNK_MARK)
         return None
 
-    def _chunk(self, file: BinaryIO, fields: dict[bytes, bytes], begin: int, size: int) -> Iterator[Batch]:
-        """Yield the messages of a chunk, and find its end."""
-        packing = fields.get(b"compression", b"none")
-        open_end = size == 0 and fields.get(b"size", b"\0" * 4) == b"\0" * 4
-        if open_end:  # the recorder writes the size when the chunk is full
-            size = self.size - begin
-        following = self._next_chunk(file, begin) if open_end or begin + size > self.size else None
-        end = following or min(begin + size, self.size)
+    def _read_chunk(self, file: BinaryIO, fields: dict[bytes, bytes], begin: int, size: int) -> Iterator[Batch]:
+        """Yield the messages of a chunk, note what is wrong with it, and seek its end."""
+        extent = self._measure_chunk(file, fields, begin, size)
         file.seek(begin)
+        left, damage = 0, ""
+        try:
+            left = yield from self._read_pieces(_unpacked_chunk(file, fields, extent))
+        except _ChunkError as error:
+            damage = str(error)
+        self._note_chunk(extent, left, damage)
+        file.seek(extent.end)
+
+    def _measure_chunk(self, file: BinaryIO, fields: dict[bytes, bytes], begin: int, size: int) -> _Extent:
+        """Return the extent of a chunk's data, whose size its header may not state, or state wrongly."""
+        is_open = size == 0 and fields.get(b"size", b"\0" * 4) == b"\0" * 4  # the size is written when it is full
+        stated_end = self.size if is_open else begin + size
+        following = self._next_chunk(file, begin) if is_open or stated_end > self.size else None
+        end = following or min(stated_end, self.size)
+        return _Extent(begin, end, is_open, following is not None, end < stated_end)
+
+    def _read_pieces(self, pieces: Iterator[bytes]) -> Generator[Batch, None, int]:
+        """Yield the messages in the decompressed pieces of a chunk; return the number of bytes after the last record.
+
+        Raises:
+            _ChunkError: the rest of the chunk cannot be read.
+        """
         rest = b""
-        damage = ""
-        pieces = _unpacked(file, packing, end - begin)
-        if packing != b"none" and not open_end:
-            pieces = _limited(pieces, max(int.from_bytes(fields.get(b"size", b""), "little"), _USUAL_CHUNK))
-        while True:
-            try:
-                piece = next(pieces, None)
-            except (*_DAMAGE, ValueError) as error:
-                damage = f"cannot be decompressed further ({error})"
-                break
-            if piece is None:
-                break
+        for piece in pieces:
             data = np.frombuffer(rest + piece if rest else piece, np.uint8)
-            at = 0
-            while True:
-                batch, at, full = self._records(data, at)
+            at, more = 0, True
+            while more:
+                batch, at, more = self._records(data, at)
                 if len(batch.connection):
                     yield batch
-                if not full:
-                    break
             rest = data[at:].tobytes()
             if len(rest) > _LONGEST_RECORD:
-                damage = f"has a record of more than {_LONGEST_RECORD >> 20} MB"
-                break
-        if following is not None:
-            self._note_damage(f"the chunk at byte {begin} states a wrong size; it was read as far as it is valid")
-        elif end < begin + size or open_end:
-            if open_end or rest or damage:
-                self.cut = True
-                self.notes.append(
-                    f"it is cut off in the chunk at byte {begin} of {self.size}: the messages up to there were read"
-                )
-            else:
-                self._note_cut(begin)
+                raise _ChunkError(f"has a record of more than {_LONGEST_RECORD >> 20} MB")
+        return len(rest)
+
+    def _note_chunk(self, chunk: _Extent, left: int, damage: str) -> None:
+        """Note what is wrong with a chunk that was read; ``left``: number of bytes after its last record."""
+        if chunk.has_follower:
+            self._note_damage(f"the chunk at byte {chunk.begin} states a wrong size; it was read as far as it is valid")
+        elif chunk.is_open or (chunk.is_short and (left or damage)):
+            self.cut = True
+            self.notes.append(
+                f"it is cut off in the chunk at byte {chunk.begin} of {self.size}: the messages up to there were read"
+            )
+        elif chunk.is_short:
+            self._note_cut(chunk.begin)
         elif damage:
-            self._note_damage(f"the chunk at byte {begin} {damage}; its messages before that and the rest were read")
-        elif rest:
-            self._note_damage(f"the chunk at byte {begin} ends with {len(rest)} bytes that are no record; skipped")
-        file.seek(end)
+            self._note_damage(
+                f"the chunk at byte {chunk.begin} {damage}; its messages before that and the rest were read"
+            )
+        elif left:
+            self._note_damage(f"the chunk at byte {chunk.begin} ends with {left} bytes that are no record; skipped")
 
     def _records(self, data: NDArray[np.uint8], at: int) -> tuple[Batch, int, bool]:
         """Return the messages from ``at`` on, their end, and whether more may follow."""
@@ -328,6 +365,22 @@ def _fields(data: bytes) -> dict[bytes, bytes] | None:
             return None
         fields[name] = value
     return fields
+
+
+def _unpacked_chunk(file: BinaryIO, fields: dict[bytes, bytes], extent: _Extent) -> Iterator[bytes]:
+    """Yield the data of a chunk decompressed, in pieces.
+
+    Raises:
+        _ChunkError: they are damaged, packed in an unknown way, or longer than stated.
+    """
+    packing = fields.get(b"compression", b"none")
+    pieces = _unpacked(file, packing, extent.end - extent.begin)
+    if packing != b"none" and not extent.is_open:
+        pieces = _limited(pieces, max(int.from_bytes(fields.get(b"size", b""), "little"), _USUAL_CHUNK))
+    try:
+        yield from pieces
+    except (*_DAMAGE, ValueError) as error:
+        raise _ChunkError(f"cannot be decompressed further ({error})") from error
 
 
 def _limited(pieces: Iterator[bytes], size: int) -> Iterator[bytes]:

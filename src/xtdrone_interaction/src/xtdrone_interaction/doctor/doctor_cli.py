@@ -33,7 +33,7 @@ from xtdrone_interaction.doctor.machine_check import (
 )
 from xtdrone_interaction.doctor.readings import read_simulator, read_vehicles
 from xtdrone_interaction.doctor.screen import BAD, OK, Line, finding_lines, simulator_lines, vehicle_lines, wrapped
-from xtdrone_interaction.sim_cli import DEFAULT_MASTER, RUNS, SimError, choose_master, master_uri
+from xtdrone_interaction.simulation_services import DEFAULT_MASTER, RUNS, SimError, choose_master, master_uri
 
 _WIDTH = 110  # characters of a line without a terminal
 _LEAST_WIDTH = 60

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from xtdrone_interaction.doctor.findings import Graph
-from xtdrone_interaction.sim_cli import NO_XMLRPC, SimError, TimedTransport
+from xtdrone_interaction.simulation_services import NO_XMLRPC, SimError, TimedTransport
 
 CALLER = "/xtdrone_doctor"
 _PARALLEL = 16  # nodes asked at a time

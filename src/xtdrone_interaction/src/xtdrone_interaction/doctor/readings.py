@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
 from xtdrone_interaction.doctor.findings import ESTIMATES, Check, Simulator, Vehicle
 from xtdrone_interaction.doctor.graph import Master
-from xtdrone_interaction.sim_cli import SimError, call
+from xtdrone_interaction.simulation_services import SimError, call
 
 if TYPE_CHECKING:
     from xtdrone_msgs.msg import SimulationStatus

@@ -1,6 +1,6 @@
-"""A ground station for many vehicles over MAVLink: states, commands, plans, parameters and logs.
+"""A ground station for many PX4 vehicles over MAVLink: states, commands, plans, parameters and logs.
 
-``GroundStation`` runs the exchanges of ``exchanges`` with vehicles; ``commands`` is the command line.
+``GroundStation`` runs the exchanges of ``exchanges`` with vehicles over UDP, TCP and serial ports.
 """
 
 from .station import GroundStation, upload_plans

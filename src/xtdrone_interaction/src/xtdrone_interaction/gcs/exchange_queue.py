@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, Generic, TypeVar
 
+from pymavlink.dialects.v20 import common as mavlink
+
 from xtdrone_control.mavlink.wire.codec import decoder
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 
@@ -17,14 +19,14 @@ from .exchanges import exchange
 from .exchanges.exchange import Exchange, Heartbeat, Presence, RefusalError, Unanswered
 from .udp_tcp_serial import Connection
 from .vehicle_addresses import ANY, GcsError, Peer
-from .vehicle_state import TELEMETRY, VehicleState
+from .vehicle_state import TELEMETRY, VehicleState, name_constant
 
 _NAMES = {MESSAGE_ID[name]: name for name in (*exchange.ANSWERS, *TELEMETRY)}
 _DECODERS = {number: decoder(name) for number, name in _NAMES.items()}
 
 T = TypeVar("T")
 Job = Exchange[T] | Callable[[Heartbeat], Exchange[T]]
-"""An exchange, or a function that creates one from the vehicle's heartbeat."""
+"""An exchange, or a function that creates one from the heartbeat of a PX4; other autopilots are refused."""
 AbortMessages = Callable[[int], list[Any]]
 """Returns, for a MAVLink system id, the messages that end an aborted exchange on the vehicle's side."""
 
@@ -43,6 +45,9 @@ class QueuedExchange(Generic[T]):
 
 def _after_heartbeat(job: Callable[[Heartbeat], Exchange[T]]) -> Exchange[T]:
     heartbeat = yield from exchange.await_heartbeat()
+    if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_PX4:
+        other = name_constant("MAV_AUTOPILOT", heartbeat.autopilot)
+        raise RefusalError(f"autopilot: {other} is not supported, only PX4", True)
     return (yield from job(heartbeat))
 
 

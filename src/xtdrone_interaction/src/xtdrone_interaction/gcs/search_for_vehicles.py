@@ -1,21 +1,18 @@
-"""Search for vehicles: in a simulation of this machine, at its ports, or by the heartbeats on a connection."""
+"""Search for vehicles: at the ports of a simulation, or by the heartbeats on a connection."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import selectors
 import socket
 import time
 from collections.abc import Collection
-from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.fleet import MAX_VEHICLES
 from xtdrone_control.mavlink.wire.codec import FrameError, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
-from xtdrone_interaction import sim_cli
 
 from .exchanges import exchange
 from .station import TIMEOUT, GroundStation
@@ -23,35 +20,6 @@ from .udp_tcp_serial import open_connection
 from .vehicle_addresses import ANY, LOOPBACK, GcsError, Peer, numbered
 
 _LIMIT = 3.0  # s for vehicles to answer
-_RUNS = (Path("runs"), sim_cli.RUNS)
-
-
-def running_fleet(instance: int) -> str:
-    """Return the vehicles of the simulation with this number that runs on this machine, as ``parse_fleet`` reads them.
-
-    Empty if none is found by ROS_MASTER_URI or the flights of this workspace: an autopilot may run without ROS.
-    """
-    for place in (None, *sim_cli.flights(_RUNS)):
-        with contextlib.suppress(OSError, sim_cli.SimError):  # a flight that ends or starts now, another program
-            fleet = _fleet(_master(place), instance)
-            if fleet:
-                return fleet
-    return ""
-
-
-def _master(file: Path | None) -> str:
-    """Return the master that a flight has written to its file; that of the environment for None."""
-    if file is None:
-        return os.environ.get("ROS_MASTER_URI", sim_cli.DEFAULT_MASTER)
-    return file.read_text(encoding="utf-8").strip()
-
-
-def _fleet(master: str, instance: int) -> str:
-    if sim_cli.find_service(master, "/simulator/get_status") is None:
-        return ""
-    if (sim_cli.parameter(master, "/xtdrone/instance") or 0) != instance:
-        return ""
-    return str(sim_cli.parameter(master, "/xtdrone/fleet") or "")
 
 
 def find(host: str = LOOPBACK, limit: float = _LIMIT, instance: int = 0) -> list[Peer]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any
 
 import serial
 
@@ -24,19 +24,27 @@ _FRAME_SIZES = {0xFD: (10, 12), 0xFE: (6, 8)}  # size of the header, and of all 
 _SIGNED, _SIGNATURE_SIZE = 0x01, 13
 
 
-class Connection(Protocol):
+class Connection:
     """A carrier of MAVLink frames.
 
     Attributes:
-        where: name in error messages.
-        unreachable: whether the other end refused the last datagram (UDP: no program has the port).
+        where: Name in error messages.
+        unreachable: Whether the other end refused the last datagram (UDP: no program has the port).
     """
 
-    where: str
-    unreachable: bool
+    def __init__(self, where: str, port: Any) -> None:
+        """Carry them over ``port``, an open socket or serial port."""
+        self.where = where
+        self.unreachable = False
+        self._port = port
 
     def fileno(self) -> int:
         """Return the descriptor that is readable when frames have arrived."""
+        return int(self._port.fileno())
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._port.close()
 
     def receive(self) -> list[bytes]:
         """Return the chunks that have arrived, each of one or more whole frames.
@@ -44,16 +52,15 @@ class Connection(Protocol):
         Raises:
             GcsError: the connection has ended.
         """
+        raise NotImplementedError
 
     def send(self, frame: bytes, system: int) -> None:
-        """Send a frame to a system.
+        """Send a frame to a system; a stream waits up to a few seconds for a full buffer.
 
         Raises:
             GcsError: the connection is broken.
         """
-
-    def close(self) -> None:
-        """Close the connection."""
+        raise NotImplementedError
 
 
 def open_connection(scheme: str, host: str, port: int) -> Connection:
@@ -82,30 +89,25 @@ def _where(scheme: str, host: str, port: int) -> str:
     return f"{words[scheme]} {host}:{port}"
 
 
-class _Udp:
-    """A UDP socket; see ``Connection``."""
+class _Udp(Connection):
+    """A UDP socket."""
 
     def __init__(self, where: str, attach: Callable[[socket.socket], None]) -> None:
         """Open the socket; ``attach`` connects or binds it."""
-        self.where = where
-        self.unreachable = False
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        super().__init__(where, socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            self._socket.setblocking(False)
-            attach(self._socket)
+            self._port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            self._port.setblocking(False)
+            attach(self._port)
         except OSError:
-            self._socket.close()
+            self._port.close()
             raise
-
-    def fileno(self) -> int:
-        return self._socket.fileno()
 
     def receive(self) -> list[bytes]:
         found: list[bytes] = []
         while len(found) < _MOST_DATAGRAMS:
             try:
-                datagram, sender = self._socket.recvfrom(_LARGEST_DATAGRAM)
+                datagram, sender = self._port.recvfrom(_LARGEST_DATAGRAM)
             except ConnectionRefusedError:  # the reply to an earlier datagram
                 self.unreachable = True
             except OSError:
@@ -120,19 +122,16 @@ class _Udp:
     def _store_sender(self, datagram: bytes, sender: tuple[str, int]) -> None:
         """Store the address of the system that has sent a datagram."""
 
-    def close(self) -> None:
-        self._socket.close()
-
 
 class _UdpOut(_Udp):
-    """A UDP socket for one remote port, on which we speak first; see ``Connection``."""
+    """A UDP socket for one remote port, on which we speak first."""
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__(_where("udpout", host, port), lambda sock: sock.connect((host, port)))
 
     def send(self, frame: bytes, _system: int) -> None:
         try:
-            self._socket.send(frame)
+            self._port.send(frame)
         except ConnectionRefusedError:  # the reply to an earlier datagram
             self.unreachable = True
         except BlockingIOError:  # lost, like a datagram on its way
@@ -142,7 +141,7 @@ class _UdpOut(_Udp):
 
 
 class _UdpIn(_Udp):
-    """A UDP socket on a local port, to which vehicles speak first; see ``Connection``."""
+    """A UDP socket on a local port, to which vehicles speak first."""
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__(_where("udpin", host, port), lambda sock: sock.bind((host, port)))
@@ -159,7 +158,7 @@ class _UdpIn(_Udp):
         addresses = set(known.values()) if system == ANY else {known[system]} if system in known else ()
         for address in addresses:
             try:
-                self._socket.sendto(frame, address)
+                self._port.sendto(frame, address)
             except OSError:  # the vehicle is gone; its silence is reported
                 continue
 
@@ -170,68 +169,59 @@ def _system_of(datagram: bytes) -> int:
     return datagram[offset] if len(datagram) > offset else 0
 
 
-class _Tcp:
-    """A TCP connection; see ``Connection``."""
+class _Stream(Connection):
+    """A stream of bytes, split into frames."""
+
+    def __init__(self, where: str, port: Any) -> None:
+        super().__init__(where, port)
+        self._rest = b""
+
+    def _split(self, data: bytes) -> list[bytes]:
+        frames, self._rest = split_stream(self._rest + data)
+        return frames
+
+
+class _Tcp(_Stream):
+    """A TCP connection."""
 
     def __init__(self, host: str, port: int) -> None:
-        self.where = _where("tcp", host, port)
-        self.unreachable = False
-        self._rest = b""
-        self._socket = socket.create_connection((host, port), timeout=_OPENING_LIMIT)
-
-    def fileno(self) -> int:
-        return self._socket.fileno()
+        line = socket.create_connection((host, port), timeout=_OPENING_LIMIT)
+        super().__init__(_where("tcp", host, port), line)
 
     def receive(self) -> list[bytes]:
         try:
-            data = self._socket.recv(_LARGEST_DATAGRAM)
+            data = self._port.recv(_LARGEST_DATAGRAM)
         except OSError as error:
             raise GcsError(f"{self.where}: the connection is broken: {error.strerror}") from error
         if not data:
             raise GcsError(f"{self.where}: the other end has closed the connection")
-        frames, self._rest = split_stream(self._rest + data)
-        return frames
+        return self._split(data)
 
     def send(self, frame: bytes, _system: int) -> None:
-        """Send a frame, waiting up to a few seconds for a full buffer."""
         try:
-            self._socket.sendall(frame)
+            self._port.sendall(frame)
         except OSError as error:
             raise GcsError(f"{self.where}: the connection is broken: {error.strerror or error}") from error
 
-    def close(self) -> None:
-        self._socket.close()
 
-
-class _SerialPort:
-    """A telemetry radio or an autopilot's USB port, locked against other programs; see ``Connection``."""
+class _SerialPort(_Stream):
+    """A telemetry radio or an autopilot's USB port, locked against other programs."""
 
     def __init__(self, device: str, baud: int) -> None:
-        self.where = _where("serial", device, baud)
-        self.unreachable = False
-        self._rest = b""
-        self._port = serial.Serial(device, baud, timeout=0.0, write_timeout=_OPENING_LIMIT, exclusive=True)
-
-    def fileno(self) -> int:
-        return int(self._port.fileno())
+        line = serial.Serial(device, baud, timeout=0.0, write_timeout=_OPENING_LIMIT, exclusive=True)
+        super().__init__(_where("serial", device, baud), line)
 
     def receive(self) -> list[bytes]:
         try:
-            data = self._port.read(_LARGEST_DATAGRAM)
+            return self._split(self._port.read(_LARGEST_DATAGRAM))
         except OSError as error:
             raise GcsError(f"{self.where}: the device is gone: {error}") from error
-        frames, self._rest = split_stream(self._rest + data)
-        return frames
 
     def send(self, frame: bytes, _system: int) -> None:
-        """Send a frame, waiting up to a few seconds for a full buffer."""
         try:
             self._port.write(frame)
         except OSError as error:
             raise GcsError(f"{self.where}: the device accepts no data: {error}") from error
-
-    def close(self) -> None:
-        self._port.close()
 
 
 _KINDS: dict[str, Callable[[str, int], Connection]] = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -37,32 +36,14 @@ _FORBIDDEN = ((mavlink.ESTIMATOR_GPS_GLITCH, "GPS glitch"), (mavlink.ESTIMATOR_A
 _TEXTS_KEPT = 20
 
 
-@cache
-def _ardupilot_modes(kind: int) -> dict[int, str]:
-    from pymavlink import mavutil  # slow to import, and used for ArduPilot only
-
-    return dict(mavutil.mode_mapping_bynumber(kind) or {})
-
-
-_PX4_MODES = {mode.custom_mode: mode.name for mode in reversed(modes.SUPPORTED)} | {
+MODES = {mode.custom_mode: mode.name for mode in reversed(modes.SUPPORTED)} | {
     4 << 16 | 8 << 24: "AUTO.FOLLOW_TARGET",
     3 << 16 | 1 << 24: "ORBIT",
 }
+"""Names of PX4's modes by ``custom_mode``."""
 
 
-def modes_of(autopilot: int, kind: int) -> dict[int, str]:
-    """Return the names of an autopilot's modes by ``custom_mode``; empty unless it is PX4 or ArduPilot.
-
-    Args:
-        autopilot: MAV_AUTOPILOT.
-        kind: MAV_TYPE.
-    """
-    if autopilot == mavlink.MAV_AUTOPILOT_PX4:
-        return _PX4_MODES
-    return _ardupilot_modes(kind) if autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA else {}
-
-
-def _named(enumeration: str, number: int) -> str:
+def name_constant(enumeration: str, number: int) -> str:
     """Return the lower-case name of a MAVLink constant, without the prefix of its enumeration."""
     entry = mavlink.enums[enumeration].get(number)
     return str(number) if entry is None else entry.name.removeprefix(f"{enumeration}_").lower()
@@ -81,7 +62,7 @@ class VehicleState:
         autopilot: name of its MAV_AUTOPILOT, such as ``px4``.
         armed: whether the vehicle is armed.
         ready: whether the checks before arming pass.
-        mode: PX4's or ArduPilot's name.
+        mode: Name of PX4's mode; "mode" and its number for another one.
         landed: name of its MAV_LANDED_STATE.
         latitude, longitude: degrees.
         altitude: m AMSL.
@@ -144,10 +125,11 @@ class VehicleState:
     # one method per message
 
     def _heartbeat(self, m: Any) -> None:
-        self.kind = _named("MAV_TYPE", m.type)
-        self.autopilot = _named("MAV_AUTOPILOT", m.autopilot)
+        self.kind = name_constant("MAV_TYPE", m.type)
+        self.autopilot = name_constant("MAV_AUTOPILOT", m.autopilot)
         self.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        self.mode = modes_of(m.autopilot, m.type).get(m.custom_mode, f"mode {m.custom_mode}")
+        known = MODES if m.autopilot == mavlink.MAV_AUTOPILOT_PX4 else {}
+        self.mode = known.get(m.custom_mode, f"mode {m.custom_mode}")
 
     def _sys_status(self, m: Any) -> None:
         self.battery = m.battery_remaining if 0 <= m.battery_remaining <= 100 else None

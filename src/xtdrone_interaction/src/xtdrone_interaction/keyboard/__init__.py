@@ -1,0 +1,1 @@
+"""XTDrone's keyboard: commands to vehicles from a terminal."""

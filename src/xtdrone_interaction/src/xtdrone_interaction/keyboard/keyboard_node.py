@@ -44,9 +44,19 @@ from xtdrone_coordination.patterns import PatternError, Patterns
 from .arguments import USAGE, Request, parse_arguments
 from .command_topics import PERIOD, CommandTopics
 from .key_bindings import AXES, Command, Message, Pilot, Setpoint, Target, digits
-from .key_decoder import PAGE_DOWN, PAGE_UP, QUIT, REDRAW, KeyDecoder
 from .screen import SILENT, Layout, ScreenContent, VehicleStatus, frame, help_lines, layout, sentence
-from .terminal import ENDING, NoTerminalError, Signals, Terminal, TerminalGoneError
+from .terminal import (
+    ENDING,
+    PAGE_DOWN,
+    PAGE_UP,
+    QUIT,
+    REDRAW,
+    KeyDecoder,
+    NoTerminalError,
+    Signals,
+    Terminal,
+    TerminalGoneError,
+)
 
 NAME = "multirotor_keyboard_control"
 _WIDTH = 80  # columns of the help without redrawing

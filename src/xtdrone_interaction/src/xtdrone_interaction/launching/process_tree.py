@@ -43,6 +43,29 @@ def _prctl(option: int, value: int) -> None:
         raise OSError(number, f"prctl({option}): {os.strerror(number)}")
 
 
+_IMPORTED_AHEAD = (
+    "xtdrone_sim.runtime.full_simulation",
+    "xtdrone_control.mavros.mavros_node",
+    "xtdrone_control.communication.multirotor",
+    "xtdrone_coordination.follower",
+)
+"""Imported in this order as long as no node waits; those that the simulation waits for come first."""
+
+
+def roslaunch_words(program: str) -> list[str]:
+    """Return the first words of a command line of roslaunch, which starts the zygote of its nodes, too.
+
+    The zygote imports the nodes' modules while roslaunch reads its files.
+
+    Args:
+        program: path of roslaunch. Without the launcher of a built workspace it is started directly.
+    """
+    launcher = os.environ.get("XTDRONE_NODE_LAUNCHER", "")
+    if not os.access(launcher, os.X_OK):
+        return [program]
+    return [launcher, "--ahead", ",".join(_IMPORTED_AHEAD), program]
+
+
 class ProcessTree:
     """A program and all of its descendants.
 

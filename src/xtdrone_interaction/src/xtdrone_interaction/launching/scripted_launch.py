@@ -13,8 +13,7 @@ from types import FrameType, TracebackType
 from typing import Any
 
 from xtdrone_interaction import command_options
-from xtdrone_interaction.launching.process_tree import end_descendants
-from xtdrone_interaction.launching.roslaunch_ahead import roslaunch_words
+from xtdrone_interaction.launching.process_tree import end_descendants, roslaunch_words
 
 PATIENCE = 25.0  # s for roslaunch to stop its nodes
 NODE_PATIENCE = 8.0  # s for a node to stop

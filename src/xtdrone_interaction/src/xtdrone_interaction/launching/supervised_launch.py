@@ -25,15 +25,14 @@ from rich.console import Console
 from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
 from xtdrone_interaction.command_options import OptionError, check_master_port, free_port, repository
 from xtdrone_interaction.launching.message_feed import Feed, answers
-from xtdrone_interaction.launching.process_tree import ProcessTree
-from xtdrone_interaction.launching.roslaunch_ahead import roslaunch_words
+from xtdrone_interaction.launching.process_tree import ProcessTree, roslaunch_words
 from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.monitoring.launch_log_errors import advice, error_lines
 from xtdrone_interaction.monitoring.missing_nodes import not_joined
 from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.monitoring.startup_progress import Startup
 from xtdrone_interaction.recording.flight_events import read_events
-from xtdrone_interaction.sim_cli import MASTER_FILE, announce
+from xtdrone_interaction.simulation_services import MASTER_FILE, announce
 
 _POLL = 0.2  # s between two polls of the processes
 _LOGS_PERIOD = 1.0  # s between two reads of the logs

@@ -1,0 +1,1 @@
+"""Views of flights in rviz: markers, view configurations, windows and films."""

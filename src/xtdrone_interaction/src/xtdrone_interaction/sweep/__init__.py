@@ -1,1 +1,1 @@
-"""``./xtdrone sweep``: thousands of flights over parameters and seeds, on all cores or on a cluster."""
+"""``./xtdrone sweep``: fly the runs of a study, on all cores or on a cluster."""

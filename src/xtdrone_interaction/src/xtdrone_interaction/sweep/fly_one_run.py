@@ -2,57 +2,33 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import logging
 import math
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from xtdrone_coordination.follower import Follower, FollowerOptions
-from xtdrone_coordination.leader import Leader, LeaderOptions
-from xtdrone_coordination.network import NetworkOptions
+from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_interaction.missions.formation.metrics import measure
 from xtdrone_interaction.missions.formation.record import FormationRecord
 from xtdrone_interaction.recording.distances import Array, least_distances
 from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.recording.recorded_flight import Change
-from xtdrone_interaction.sweep.study.study_parameters import CLASS, DEFAULTS, Value, group_of
-from xtdrone_interaction.sweep.study.user_code import Source, load
+from xtdrone_interaction.studies.result_store import COLLISION_DISTANCE, FIGURES, Row
+from xtdrone_interaction.studies.study_parameters import CLASS, DEFAULTS, Value, make_options
+from xtdrone_interaction.studies.user_code import Source, load
 from xtdrone_swarm import Swarm
-from xtdrone_swarm.simplified.vehicle_parameters import load_model
 
-COLLISION_DISTANCE = 0.5  # m between the centres of two vehicles
 _SOURCE = "truth (in one process)"
 _LISTENING = 1.0  # s in the air before the first pattern
 _MOST_ERROR = 500  # characters of an error message
-
-FIGURES: dict[str, type] = {
-    "settled": bool,
-    "settling_time": float,
-    "overshoot": float,
-    "steady_error": float,
-    "least_distance": float,
-    "collisions": int,
-    "assigned_distance": float,
-    "simulated_time": float,
-    "wall_time": float,
-}
-"""Figures of every run and their types.
-
-settled: whether every pattern settled; settling_time: of the slowest pattern, s, None unless all settled; overshoot and
-steady_error: largest over all patterns, m; least_distance: between any two vehicles after the first pattern's command,
-m; collisions: number of pairs closer than COLLISION_DISTANCE; assigned_distance: sum over all patterns, m;
-simulated_time and wall_time: s. All but wall_time are reproducible bit by bit.
-"""
-
-Row = dict[str, Any]
 
 
 def fly_batch(common: Mapping[str, Any], tasks: Sequence[Mapping[str, Any]]) -> list[Row]:
@@ -76,7 +52,7 @@ def fly_row(common: Mapping[str, Any], task: Mapping[str, Any]) -> Row:
     try:
         figures = fly(common, task["varied"], task["seed"])
     except (Exception, SystemExit) as error:  # an exception in a user's class is a result of the study
-        figures = {"error": _words(error)}
+        figures = {"error": _describe_error(error)}
     return row | figures | {"wall_time": time.perf_counter() - began}
 
 
@@ -87,14 +63,14 @@ def fly(common: Mapping[str, Any], varied: Mapping[str, Value], seed: int) -> Ro
     try:
         names = str(parameters["patterns"]).split(",")
         if common["flight"] == "mission":
-            record = _mission(swarm, names)
+            record = _fly_mission(swarm, names)
         else:
-            record = _airborne(swarm, names, float(parameters["hold"]), float(parameters["limit"]))
+            record = _fly_airborne(swarm, names, float(parameters["hold"]), float(parameters["limit"]))
     finally:
         swarm.close()
-    figures = figures_of(record)
-    metric = _loaded(common, "metric", None)
-    return figures | (_checked_metric(metric(record), varied) if metric else {})
+    figures = compute_figures(record)
+    metric = _load(common, "metric", None)
+    return figures | (_check_metric(metric(record), varied) if metric else {})
 
 
 def make_swarm(common: Mapping[str, Any], parameters: Mapping[str, Value], seed: int) -> Swarm:
@@ -111,7 +87,7 @@ def make_swarm(common: Mapping[str, Any], parameters: Mapping[str, Value], seed:
     options = make_options(parameters)
     settings: Row = {
         "follower": _follower_class(common, parameters),
-        "leader": _loaded(common, "leader", Leader),
+        "leader": _load(common, "leader", Leader),
         "follower_options": options["follower"],
         "leader_options": options["leader"],
         "seed": seed,
@@ -141,36 +117,12 @@ def start_places(count: int, scatter: float, seed: int) -> Array:
     return places
 
 
-def make_options(parameters: Mapping[str, Value]) -> dict[str, Any]:
-    """Return the settings of follower, leader, model and network; network is None without network parameters.
-
-    Raises:
-        ValueError: invalid combination.
-    """
-    network, model = group_of(parameters, "network"), group_of(parameters, "model")
-    return {
-        "follower": FollowerOptions(**group_of(parameters, "follower")),  # type: ignore[arg-type]
-        "leader": LeaderOptions(**group_of(parameters, "leader")),  # type: ignore[arg-type]
-        "model": dataclasses.replace(load_model(str(parameters["kind"])), **model),  # type: ignore[arg-type]
-        "network": NetworkOptions(**network) if network else None,  # type: ignore[arg-type]
-    }
-
-
-def check_options(parameters: Mapping[str, Value]) -> None:
-    """Check a combination of settings.
-
-    Raises:
-        ValueError: invalid combination.
-    """
-    make_options({**DEFAULTS, **parameters})
-
-
-def figures_of(record: FormationRecord) -> Row:
+def compute_figures(record: FormationRecord) -> Row:
     """Return the figures of a flight, all but wall_time; see FIGURES."""
     track = record.track
     changes = measure(record, track)
     if not changes:
-        raise RuntimeError(f"no pattern was flown: {_ending(record)}")
+        raise RuntimeError(f"no pattern was flown: {_describe_end(record)}")
     distances = track.between(changes[0].command_time, math.inf).position
     settled = all(change.settling_time is not None for change in changes)
     return {
@@ -179,13 +131,13 @@ def figures_of(record: FormationRecord) -> Row:
         "overshoot": max(change.overshoot for change in changes),
         "steady_error": max(change.steady_error_max for change in changes),
         "least_distance": float(least_distances(distances).min()),
-        "collisions": collided_pairs(distances),
+        "collisions": count_collided_pairs(distances),
         "assigned_distance": sum(change.assigned_distance for change in changes),
         "simulated_time": record.events[-1]["time"] - record.events[0]["time"],
     }
 
 
-def collided_pairs(positions: Array, limit: float = COLLISION_DISTANCE) -> int:
+def count_collided_pairs(positions: Array, limit: float = COLLISION_DISTANCE) -> int:
     """Return the number of pairs of vehicles that came closer than ``limit``.
 
     Args:
@@ -201,7 +153,7 @@ def collided_pairs(positions: Array, limit: float = COLLISION_DISTANCE) -> int:
     return len(pairs)
 
 
-def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) -> FormationRecord:
+def _fly_airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) -> FormationRecord:
     """Fly patterns in turn from the air, each until all followers have settled or its time limit."""
     # Otherwise the leader would assign slots before it has received any position over the network
     swarm.run(_LISTENING)
@@ -223,17 +175,17 @@ def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) 
     return FormationRecord(names, truth, None, changes, topologies, events)
 
 
-def _mission(swarm: Swarm, patterns: Sequence[str]) -> FormationRecord:
+def _fly_mission(swarm: Swarm, patterns: Sequence[str]) -> FormationRecord:
     """Fly the demo's whole mission, takeoff to landing."""
     from xtdrone_interaction.missions.formation.swarm_flight import fly_formation
 
     record = fly_formation(swarm, patterns)
     if record.events[-1]["event"] != "done":
-        raise RuntimeError(_ending(record))
+        raise RuntimeError(_describe_end(record))
     return record
 
 
-def _ending(record: FormationRecord) -> str:
+def _describe_end(record: FormationRecord) -> str:
     last = record.events[-1]
     return f"the flight ended with {last['event']!r}: {last.get('reason', 'no reason given')}"
 
@@ -252,7 +204,7 @@ def _quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def _loaded(common: Mapping[str, Any], role: str, default: Any) -> Any:
+def _load(common: Mapping[str, Any], role: str, default: Any) -> Any:
     source = common["sources"].get(role)
     return load(role, Source(**source)) if source else default
 
@@ -260,7 +212,7 @@ def _loaded(common: Mapping[str, Any], role: str, default: Any) -> Any:
 def _follower_class(common: Mapping[str, Any], parameters: Mapping[str, Value]) -> type[Follower]:
     """Return the follower's class with the attributes of the run."""
     own = tuple(sorted((name[len(CLASS) :], value) for name, value in parameters.items() if name.startswith(CLASS)))
-    return _with_attributes(_loaded(common, "follower", Follower), own)
+    return _with_attributes(_load(common, "follower", Follower), own)
 
 
 @functools.lru_cache(maxsize=64)
@@ -268,7 +220,7 @@ def _with_attributes(cls: type[Follower], attributes: tuple[tuple[str, Value], .
     return type(cls.__name__, (cls,), {**dict(attributes), "__module__": cls.__module__}) if attributes else cls
 
 
-def _checked_metric(values: object, varied: Mapping[str, Value]) -> Row:
+def _check_metric(values: object, varied: Mapping[str, Value]) -> Row:
     """Convert the result of a user's metric to floats; None for numbers that are not finite.
 
     Args:
@@ -293,7 +245,7 @@ def _checked_metric(values: object, varied: Mapping[str, Value]) -> Row:
     return found
 
 
-def _words(error: BaseException) -> str:
+def _describe_error(error: BaseException) -> str:
     """Format an error: type, message, and the line of code that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
@@ -302,6 +254,3 @@ def _words(error: BaseException) -> str:
     except Exception:  # the __str__ of a user's exception may raise
         said = "it cannot be written"
     return f"{type(error).__name__}: {said}{place}"[:_MOST_ERROR]
-
-
-Work = Callable[[Mapping[str, Any], Sequence[Mapping[str, Any]]], list[Row]]

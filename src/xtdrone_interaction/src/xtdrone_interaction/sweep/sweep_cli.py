@@ -25,15 +25,14 @@ from xtdrone_control.files import shortened
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import cli, command_options
-from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.launching.scripted_launch import Stopped, StopRequest
 from xtdrone_interaction.machine_facts import machine_facts
-from xtdrone_interaction.sweep.fly_one_run import FIGURES
+from xtdrone_interaction.studies.list_of_runs import Plan
+from xtdrone_interaction.studies.result_store import FIGURES, Store
+from xtdrone_interaction.studies.study_file import Study, read_study
+from xtdrone_interaction.studies.study_parameters import StudyError
 from xtdrone_interaction.sweep.progress import Progress, one_line
-from xtdrone_interaction.sweep.result_store import Store
-from xtdrone_interaction.sweep.study.list_of_runs import Plan
-from xtdrone_interaction.sweep.study.study_file import Study, read_study
 
 _SHOWN = 10  # runs in a dry run, and differences of studies
 _PICTURE = "picture.png"
@@ -99,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
             return _dry_run(plan, console)
         folder = arguments.out or Path("runs") / "sweeps" / study.name
         return _sweep(plan, folder, arguments, console)
-    except (OptionError, PatternError) as error:
+    except (StudyError, PatternError) as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2
     except OSError as error:
@@ -116,9 +115,9 @@ def _check_picture(study: Study, arguments: argparse.Namespace) -> None:
     for thing in ("x", "by"):
         name = getattr(arguments, thing)
         if name is not None and name not in varied:
-            raise OptionError(f"{thing}: {name!r} is not varied in this study; there are: {', '.join(varied)}")
+            raise StudyError(f"{thing}: {name!r} is not varied in this study; there are: {', '.join(varied)}")
     if arguments.metric and arguments.metric not in FIGURES and "metric" not in study.sources:
-        raise OptionError(f"metric: {arguments.metric!r} is unknown; there are: {', '.join(FIGURES)}")
+        raise StudyError(f"metric: {arguments.metric!r} is unknown; there are: {', '.join(FIGURES)}")
 
 
 def _dry_run(plan: Plan, console: Console) -> int:
@@ -175,7 +174,7 @@ def _header(study: Study) -> dict[str, Any]:
 def columns(study: Study) -> dict[str, type]:
     """Return names and types of the columns; a user's metric adds more."""
     varied = {axis.parameter.name: axis.parameter.kind for axis in study.axes}
-    return {"key": str, "seed": int, **varied, "error": str, **FIGURES}
+    return {"key": str, "seed": int, **varied, "error": str, **{name: kind for name, (kind, _) in FIGURES.items()}}
 
 
 def _check_study(
@@ -186,7 +185,7 @@ def _check_study(
     Failed runs of another version of the user's files are dropped if failed runs are to be repeated.
 
     Raises:
-        OptionError: the folder belongs to another study.
+        StudyError: the folder belongs to another study.
     """
     if store.before is None:
         return
@@ -197,12 +196,12 @@ def _check_study(
     if foreign and files and not changes:
         said = ", ".join(files)
         if good:
-            raise OptionError(
+            raise StudyError(
                 f"out: {store.folder}: {said} ({good:,} good runs were made with another version); "
                 "choose another --out, or undo the change"
             )
         if not retry_failed:
-            raise OptionError(
+            raise StudyError(
                 f"out: {store.folder}: {said} ({len(foreign):,} runs failed with another version); "
                 "--retry-failed flies them again"
             )
@@ -211,7 +210,7 @@ def _check_study(
         return
     changes += files
     if foreign:
-        raise OptionError(
+        raise StudyError(
             f"out: {store.folder} has {len(foreign):,} of {len(store.rows):,} runs that this study does not have "
             f"({'; '.join(changes) or 'another version'}); choose another --out, or undo the change"
         )
@@ -260,7 +259,7 @@ def _fly(
     plan: Plan, missing: Sequence[int], store: Store, arguments: argparse.Namespace, stop: StopRequest, console: Console
 ) -> int:
     """Fly the runs of these numbers and return the exit status."""
-    from xtdrone_interaction.sweep.dask_execution import Executor, SweepError  # heavy, and not for --dry-run
+    from xtdrone_interaction.studies.dask_execution import Executor, SweepError  # heavy, and not for --dry-run
     from xtdrone_interaction.sweep.fly_one_run import fly_batch
 
     study = plan.study
@@ -299,7 +298,7 @@ def _tasks(plan: Plan, numbers: Sequence[int]) -> Iterator[dict[str, Any]]:
 
 
 def _client(arguments: argparse.Namespace) -> AbstractContextManager[Any]:
-    from xtdrone_interaction.sweep.dask_execution import local_client, remote_client
+    from xtdrone_interaction.studies.dask_execution import local_client, remote_client
 
     if arguments.scheduler:
         return remote_client(arguments.scheduler)
@@ -315,7 +314,7 @@ def _check_bokeh() -> None:
     try:
         import bokeh  # noqa: F401
     except ImportError:
-        raise OptionError("dashboard: Dask's page needs the Python package bokeh: pip install bokeh") from None
+        raise StudyError("dashboard: Dask's page needs the Python package bokeh: pip install bokeh") from None
 
 
 def _finish(store: Store, keys: Sequence[str], status: int, arguments: argparse.Namespace, console: Console) -> int:
@@ -352,12 +351,12 @@ def _print_reasons(results: Path, console: Console) -> None:
 
 
 def _draw(results: Path, arguments: argparse.Namespace, console: Console) -> None:
-    from xtdrone_interaction.sweep.sweep_picture import save_picture
+    from xtdrone_interaction.studies.sweep_picture import save_picture
 
     path = results.with_name(_PICTURE)
     try:
         save_picture(results, path, arguments.metric, arguments.x, arguments.by)
-    except OptionError as error:
+    except StudyError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
     else:
         _print(console, f"Picture: {path}")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from xtdrone_interaction.sim_cli import NO_XMLRPC, TimedTransport
+from xtdrone_interaction.simulation_services import NO_XMLRPC, TimedTransport
 
 _CALLER = "/xtdrone_topics"
 UNKNOWN_TYPE = "*"

@@ -13,7 +13,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from xtdrone_interaction import command_options
-from xtdrone_interaction.sim_cli import RUNS, SimError, choose_master, master_uri
+from xtdrone_interaction.simulation_services import RUNS, SimError, choose_master, master_uri
 from xtdrone_interaction.web.server.credentials import TOKEN_ADVICE
 from xtdrone_interaction.web.station_settings import StationSettings
 

@@ -1,8 +1,6 @@
 """Exchanges that command a vehicle to arm, take off, go to a position, hold, return and land.
 
-PX4 and ArduPilot are commanded as by QGroundControl: for PX4 the altitude of a takeoff counts from sea level and arming
-follows; ArduPilot has to be armed in mode GUIDED first, and the altitude counts from home. Other autopilots are treated
-like PX4.
+PX4 is commanded as by QGroundControl: the altitude of a takeoff counts from sea level, and arming follows.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.geodesy import projection
 
-from ..vehicle_state import modes_of
+from ..vehicle_state import MODES, name_constant
 from .exchange import AUTOPILOT, Exchange, Heartbeat, RefusalError, fetch_message
 from .parameters import fetch as fetch_parameters
 
@@ -33,7 +31,6 @@ _ALIASES = {
     "ALTITUDE": "ALTCTL",
     "STABILIZE": "STABILIZED",
 }  # names of PX4's modes in QGroundControl
-_HOLDS = ("BRAKE", "HOLD", "LOITER")  # ArduPilot's modes that hold the position, in order of preference
 
 
 @dataclass(frozen=True)
@@ -105,8 +102,7 @@ def _command_until_done(number: int, message: Any, what: str) -> Exchange[None]:
             return
         if answer.result != mavlink.MAV_RESULT_IN_PROGRESS:
             break
-    result = mavlink.enums["MAV_RESULT"].get(answer.result)
-    word = f"result {answer.result}" if result is None else result.name.removeprefix("MAV_RESULT_")
+    word = name_constant("MAV_RESULT", answer.result).upper()
     for _ in range(_REASON_TIMEOUTS):  # a status text may explain it
         while answer is not None:
             answer = yield []
@@ -140,38 +136,22 @@ def arm(heartbeat: Heartbeat, armed: bool = True, force: bool = False) -> Exchan
     yield from command(heartbeat, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, params, "arm" if armed else "disarm")
 
 
-def mode_number(heartbeat: Heartbeat, name: str) -> int:
-    """Return the ``custom_mode`` of a vehicle's mode.
+def set_mode(heartbeat: Heartbeat, name: str) -> Exchange[None]:
+    """Set the mode of a vehicle.
 
     Args:
-        heartbeat: of the vehicle.
-        name: of the mode, in any case; for PX4's AUTO modes the part after the dot suffices.
-
-    Raises:
-        RefusalError: unknown mode.
-    """
-    known = {mode: number for number, mode in modes_of(heartbeat.autopilot, heartbeat.kind).items()}
-    wanted = name.upper()
-    if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
-        wanted = _ALIASES.get(wanted, wanted)
-    for candidate in (wanted, f"AUTO.{wanted}"):
-        if candidate in known:
-            return known[candidate]
-    allowed = ", ".join(sorted(known)) or "none, its autopilot is neither PX4 nor ArduPilot"
-    raise RefusalError(f"mode: {name!r} is not allowed, one of the vehicle's: {allowed}", True)
-
-
-def set_mode(heartbeat: Heartbeat, name: str) -> Exchange[None]:
-    """Set the mode of a vehicle; see ``mode_number``.
+        heartbeat: Heartbeat of the vehicle.
+        name: Name of the mode, in any case; for AUTO modes the part after the dot suffices.
 
     Raises:
         RefusalError: unknown mode, or the vehicle rejects it.
     """
-    number = mode_number(heartbeat, name)
-    custom = [float(number)]
-    if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
-        custom = [float(number >> 16 & 0xFF), float(number >> 24)]
-    params = [float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), *custom]
+    numbers = {mode: number for number, mode in MODES.items()}
+    wanted = _ALIASES.get(name.upper(), name.upper())
+    number = numbers.get(wanted, numbers.get(f"AUTO.{wanted}"))
+    if number is None:
+        raise RefusalError(f"mode: {name!r} is not allowed, one of the vehicle's: {', '.join(sorted(numbers))}", True)
+    params = (float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(number >> 16 & 0xFF), float(number >> 24))
     yield from command(heartbeat, mavlink.MAV_CMD_DO_SET_MODE, params, f"mode {name}")
 
 
@@ -181,10 +161,7 @@ def hold(heartbeat: Heartbeat) -> Exchange[None]:
     Raises:
         RefusalError: the vehicle rejects it.
     """
-    known = modes_of(heartbeat.autopilot, heartbeat.kind).values()
-    ardupilot = heartbeat.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-    name = next((mode for mode in _HOLDS if mode in known), "LOITER") if ardupilot else "HOLD"
-    yield from set_mode(heartbeat, name)
+    yield from set_mode(heartbeat, "HOLD")
 
 
 def rtl(heartbeat: Heartbeat) -> Exchange[None]:
@@ -216,8 +193,8 @@ def take_off(heartbeat: Heartbeat, height: float) -> Exchange[float]:
         height: m above its position.
 
     Returns:
-        The height that it climbs to, m: at least MIS_TAKEOFF_ALT for PX4, which accepts NAV_MC_ALT_RAD (0.8 m) below
-        it as reached and holds there.
+        The height that it climbs to, m: at least MIS_TAKEOFF_ALT; PX4 accepts NAV_MC_ALT_RAD (0.8 m) below it
+        as reached and holds there.
 
     Raises:
         RefusalError: the vehicle is flying, has no position, or rejects it.
@@ -225,20 +202,14 @@ def take_off(heartbeat: Heartbeat, height: float) -> Exchange[float]:
     landed = yield from fetch_message(heartbeat.system, "EXTENDED_SYS_STATE")
     if landed is not None and landed.landed_state in (2, 3, 4):  # MAV_LANDED_STATE
         raise RefusalError("takeoff: the vehicle is in the air", True)
-    takeoff_command = mavlink.MAV_CMD_NAV_TAKEOFF
-    if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
-        yield from set_mode(heartbeat, "GUIDED")
-        yield from arm(heartbeat)
-        yield from command(heartbeat, takeoff_command, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height), "takeoff")
-        return height
     here = yield from fetch_message(heartbeat.system, "GLOBAL_POSITION_INT")
     if here is None:
         raise RefusalError("takeoff: the vehicle has no position estimate", True)
-    if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
-        least, _ = (yield from fetch_parameters(heartbeat, ["MIS_TAKEOFF_ALT"]))["MIS_TAKEOFF_ALT"]
-        height = max(height, least)
+    least, _ = (yield from fetch_parameters(heartbeat, ["MIS_TAKEOFF_ALT"]))["MIS_TAKEOFF_ALT"]
+    height = max(height, least)
     altitude = here.alt * 1e-3 + height
-    yield from command(heartbeat, takeoff_command, (-1.0, 0.0, 0.0, _NAN, _NAN, _NAN, altitude), "takeoff")
+    params = (-1.0, 0.0, 0.0, _NAN, _NAN, _NAN, altitude)
+    yield from command(heartbeat, mavlink.MAV_CMD_NAV_TAKEOFF, params, "takeoff")
     yield from arm(heartbeat)
     return height
 

@@ -47,11 +47,6 @@ def end_transfer(system: int) -> list[Any]:
     return [mavlink.MAVLink_log_request_end_message(system, AUTOPILOT)]
 
 
-def suffix_of(heartbeat: Heartbeat) -> str:
-    """Return the suffix of a vehicle's log files."""
-    return ".bin" if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA else ".ulg"
-
-
 def fetch_list(heartbeat: Heartbeat) -> Exchange[list[Log]]:
     """Return the logs of a vehicle, oldest first.
 

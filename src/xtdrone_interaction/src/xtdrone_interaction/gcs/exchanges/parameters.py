@@ -1,14 +1,16 @@
 """Exchanges of MAVLink's parameter protocol (https://mavlink.io/en/services/parameter.html).
 
-Messages carry every value as a float: for an integer PX4 reinterprets its bytes ("bytewise"), ArduPilot converts its
-value ("C cast"). A request for an unknown name has no answer, so it is repeated a few times and then given up.
+Messages carry every value as a float; for an integer PX4 reinterprets its bytes ("bytewise"). A request for an unknown
+name has no answer, so it is repeated a few times and then given up.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -25,12 +27,12 @@ from xtdrone_control.autopilot.parameters.parameter_file import (
     shown,
 )
 
-from .exchange import AUTOPILOT, Exchange, Heartbeat, Progress, RefusalError, fetch_message, ignore_progress
+from .exchange import AUTOPILOT, Exchange, Heartbeat, Progress, RefusalError, ignore_progress
 
-IDENTITY = ("MAV_SYS_ID", "MAV_COMP_ID", "SYSID_THISMAV", "MAV_SYSID")
+IDENTITY = ("MAV_SYS_ID", "MAV_COMP_ID")
 """Parameters that identify a vehicle; they are never copied to another one."""
-STACKS = {mavlink.MAV_AUTOPILOT_PX4: "PX4 Pro", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot"}
-"""Name of an autopilot (MAV_AUTOPILOT) in QGroundControl's files."""
+STACK = "PX4 Pro"
+"""Name of the autopilot in QGroundControl's files."""
 
 _NO_INDEX = 0xFFFF
 _BATCH = 50  # parameters per request, or per change
@@ -40,34 +42,23 @@ _HEADERS = {0xFD: 10, 0xFE: 6}  # bytes before the payload, by first byte of the
 _CODES = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
 
 
-def decode(message: Any, bytewise: bool) -> Value:
+def decode(message: Any) -> Value:
     """Return the value in a PARAM_VALUE message."""
     kind = message.param_type
     if kind not in LIMITS:
         return as_float32(message.param_value), REAL32
-    if not bytewise:
-        return round(message.param_value), kind
     frame = bytes(message.get_msgbuf())  # not the float: some integers are NaNs, whose bits may change
     return struct.unpack_from(f"<{_CODES[kind]}", frame, _HEADERS[frame[0]])[0], kind
 
 
-def encode(value: Value, bytewise: bool) -> float:
+def encode(value: Value) -> float:
     """Return the float for a value in a PARAM_SET message."""
     number, kind = value
-    if kind == REAL32 or not bytewise:
+    if kind == REAL32:
         return float(number)
     raw = struct.pack(f"<{_CODES[kind]}", int(number)).ljust(4, b"\0")
     found: float = struct.unpack("<f", raw)[0]
     return found
-
-
-def uses_bytewise(heartbeat: Heartbeat) -> Exchange[bool]:
-    """Return whether a vehicle encodes integers bytewise."""
-    if heartbeat.autopilot in STACKS:
-        return heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4
-    version = yield from fetch_message(heartbeat.system, "AUTOPILOT_VERSION")
-    flag = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-    return version is not None and bool(version.capabilities & flag)
 
 
 def _name_of(answer: Any) -> str:
@@ -79,6 +70,32 @@ def _read_message(heartbeat: Heartbeat, name: str, index: int = -1) -> Any:
     return mavlink.MAVLink_param_request_read_message(heartbeat.system, AUTOPILOT, name.encode(), index)
 
 
+def _batches(names: Iterable[str]) -> Iterator[list[str]]:
+    rest = iter(names)
+    while batch := list(islice(rest, _BATCH)):
+        yield batch
+
+
+def _answer_batch(
+    names: Iterable[str], ask: Callable[[str], Any], accept: Callable[[str, Value], bool]
+) -> Exchange[list[str]]:
+    """Repeat a request for each name until its answer is accepted; return the names that stay without an answer."""
+    missing = dict.fromkeys(names)
+    unanswered = 0
+    outgoing = [ask(name) for name in missing]
+    while missing and unanswered <= _UNANSWERED:
+        answer = yield outgoing
+        outgoing = []
+        name = _name_of(answer)
+        if name in missing and accept(name, decode(answer)):
+            del missing[name]
+            unanswered = 0
+        elif answer is None:
+            unanswered += 1
+            outgoing = [ask(name) for name in missing]
+    return list(missing)
+
+
 def fetch(
     heartbeat: Heartbeat, names: Iterable[str], progress: Progress = ignore_progress
 ) -> Exchange[dict[str, Value]]:
@@ -88,25 +105,17 @@ def fetch(
         RefusalError: the vehicle does not send one of them.
     """
     wanted = list(dict.fromkeys(names))
-    bytewise = yield from uses_bytewise(heartbeat)
     found: dict[str, Value] = {}
-    for start in range(0, len(wanted), _BATCH):
-        missing = dict.fromkeys(wanted[start : start + _BATCH])
-        unanswered = 0
-        outgoing = [_read_message(heartbeat, name) for name in missing]
-        while missing:
-            answer = yield outgoing
-            outgoing = []
-            if _name_of(answer) in missing:
-                found[answer.param_id] = decode(answer, bytewise)
-                del missing[answer.param_id]
-                unanswered = 0
-                progress("reading parameters", len(found), len(wanted))
-            elif answer is None:
-                unanswered += 1
-                if unanswered > _UNANSWERED:
-                    raise RefusalError(f"parameters: the vehicle sends no value of {', '.join(missing)}", True)
-                outgoing = [_read_message(heartbeat, name) for name in missing]
+
+    def accept(name: str, value: Value) -> bool:
+        found[name] = value
+        progress("reading parameters", len(found), len(wanted))
+        return True
+
+    for batch in _batches(wanted):
+        missing = yield from _answer_batch(batch, lambda name: _read_message(heartbeat, name), accept)
+        if missing:
+            raise RefusalError(f"parameters: the vehicle sends no value of {', '.join(missing)}", True)
     return {name: found[name] for name in wanted}
 
 
@@ -116,7 +125,6 @@ def fetch_all(heartbeat: Heartbeat, progress: Progress = ignore_progress) -> Exc
     Raises:
         RefusalError: the vehicle does not send all of them.
     """
-    bytewise = yield from uses_bytewise(heartbeat)
     whole = [mavlink.MAVLink_param_request_list_message(heartbeat.system, AUTOPILOT)]
     found: dict[int, tuple[str, Value]] = {}
     count = unanswered = 0
@@ -130,7 +138,7 @@ def fetch_all(heartbeat: Heartbeat, progress: Progress = ignore_progress) -> Exc
             if not _name_of(answer) or answer.param_index == _NO_INDEX:
                 continue
             count, news = answer.param_count, True
-            found[answer.param_index] = answer.param_id, decode(answer, bytewise)
+            found[answer.param_index] = answer.param_id, decode(answer)
             asked.discard(answer.param_index)
             progress("reading parameters", len(found), count)
             if listing or asked:
@@ -162,40 +170,28 @@ def store(
     Returns:
         Reasons of failures by name; empty for none.
     """
-    bytewise = yield from uses_bytewise(heartbeat)
     failed: dict[str, str] = {}
-    names = list(values)
-    for start in range(0, len(names), _BATCH):
-        missing = dict.fromkeys(names[start : start + _BATCH], 0)  # number of confirmations with another value
-        unanswered = 0
-        outgoing = [_set_message(heartbeat, name, values[name], bytewise) for name in missing]
-        while missing:
-            answer = yield outgoing
-            outgoing = []
-            name = _name_of(answer)
-            if name in missing:
-                told = decode(answer, bytewise)
-                if told[0] != values[name][0]:
-                    missing[name] += 1
-                    if missing[name] < _OTHER_ANSWERS:
-                        continue
-                    failed[name] = f"{shown(*values[name])} is rejected, {shown(*told)} is kept"
-                del missing[name]
-                unanswered = 0
-                progress("setting parameters", start + _BATCH - len(missing), len(names))
-            elif answer is None:
-                unanswered += 1
-                if unanswered > _UNANSWERED:
-                    failed |= dict.fromkeys(missing, "the vehicle does not accept it")
-                    break
-                outgoing = [_set_message(heartbeat, each, values[each], bytewise) for each in missing]
+    others: Counter[str] = Counter()  # confirmations with another value, by name
+    done: set[str] = set()
+
+    def ask(name: str) -> Any:
+        number = encode(values[name])
+        return mavlink.MAVLink_param_set_message(heartbeat.system, AUTOPILOT, name.encode(), number, values[name][1])
+
+    def accept(name: str, value: Value) -> bool:
+        if value[0] != values[name][0]:
+            others[name] += 1
+            if others[name] < _OTHER_ANSWERS:
+                return False
+            failed[name] = f"{shown(*values[name])} is rejected, {shown(*value)} is kept"
+        done.add(name)
+        progress("setting parameters", len(done), len(values))
+        return True
+
+    for batch in _batches(values):
+        missing = yield from _answer_batch(batch, ask, accept)
+        failed |= dict.fromkeys(missing, "the vehicle does not accept it")
     return failed
-
-
-def _set_message(heartbeat: Heartbeat, name: str, value: Value, bytewise: bool) -> Any:
-    return mavlink.MAVLink_param_set_message(
-        heartbeat.system, AUTOPILOT, name.encode(), encode(value, bytewise), value[1]
-    )
 
 
 def change(heartbeat: Heartbeat, name: str, value: float) -> Exchange[tuple[Value, Value]]:
@@ -225,7 +221,7 @@ def save(heartbeat: Heartbeat, progress: Progress = ignore_progress) -> Exchange
         RefusalError: the vehicle does not send all of them.
     """
     values = yield from fetch_all(heartbeat, progress)
-    return ParameterFile(heartbeat.system, values, STACKS.get(heartbeat.autopilot, ""))
+    return ParameterFile(heartbeat.system, values, STACK)
 
 
 def differences(content: ParameterFile, present: Mapping[str, Value]) -> dict[str, tuple[Value, Value | None]]:
@@ -267,9 +263,8 @@ def check(
     Raises:
         RefusalError: the file belongs to another vehicle or autopilot, or the vehicle has none of its parameters.
     """
-    stack = STACKS.get(heartbeat.autopilot, "")
-    if content.stack and stack and content.stack.split()[0] != stack.split()[0]:
-        raise RefusalError(f"the file is of {content.stack}, this is {stack}", True)
+    if content.stack and content.stack.split()[0] != STACK.split()[0]:
+        raise RefusalError(f"the file is of {content.stack}, this is {STACK}", True)
     if content.system != heartbeat.system and not of_another:
         raise RefusalError(f"the file is of vehicle {content.system}, this is system {heartbeat.system}; "
                            "--of-another loads it without the vehicle's identity", True)  # fmt: skip

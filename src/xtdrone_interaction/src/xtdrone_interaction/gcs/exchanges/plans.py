@@ -3,16 +3,12 @@
 In the mission protocol (https://mavlink.io/en/services/mission.html) the sender repairs losses by repetition. A vehicle
 whose time stands still never repeats a request, so here only the ground station repeats: after a timeout it sends the
 item requested last and the one after it, because the request for that one may have been lost.
-
-ArduPilot stores its home position as the first item of a mission; a plan does not contain it. It keeps only those
-parameters of an item that its command uses, so its items are compared by command and position alone.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -20,7 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
 from xtdrone_control.mavlink.microservices import mission_items
-from xtdrone_control.plans.qgc_plan import FRAME_GLOBAL, Plan, Position
+from xtdrone_control.plans.qgc_plan import Plan
 
 from .exchange import (
     AUTOPILOT,
@@ -36,7 +32,6 @@ from .exchange import (
 
 KINDS = ("mission", "fence", "rally points")  # by MAV_MISSION_TYPE
 
-_PX4, _ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _ATTEMPTS = 10
 _SHOWN = 4  # alterations in the text
 _REPEATS = 8  # unanswered requests before a download starts over: the vehicle may have ended the transfer
@@ -68,26 +63,21 @@ def to_message(item: PlanItem, seq: int, kind: int, system: int) -> Any:
     )
 
 
-def difference(sent: Sequence[PlanItem], found: Sequence[PlanItem], kind: int, autopilot: int = _PX4) -> str:
+def difference(sent: Sequence[PlanItem], found: Sequence[PlanItem], kind: int) -> str:
     """Describe the first difference between an uploaded list and the downloaded one; empty for none.
 
     PX4 returns only what it stores of an item, so ``sent`` is reduced to that before the comparison.
 
     Args:
-        sent, found: uploaded and downloaded items.
-        kind: MAV_MISSION_TYPE.
-        autopilot: MAV_AUTOPILOT of the vehicle.
+        sent, found: Items uploaded and downloaded.
+        kind: MAV_MISSION_TYPE of the list.
     """
     if len(sent) != len(found):
         return f"{len(found)} items came back of {len(sent)}"
     for seq, (item, back) in enumerate(zip(sent, found, strict=True)):
-        if autopilot == _ARDUPILOT:
-            alike = item.command == back.command and (item.frame == FRAME_MISSION or _same_place(item, back))
-        else:
-            message = to_message(item, seq, kind, 1)
-            kept = mission_items.write(mission_items.parse(message, True), seq, False, kind, True, (0, 0))
-            alike = _equal(mission_items.parse(kept, True), back, kind)
-        if not alike:
+        message = to_message(item, seq, kind, 1)
+        kept = mission_items.write(mission_items.parse(message, True), seq, False, kind, True, (0, 0))
+        if not _are_equal(mission_items.parse(kept, True), back, kind):
             return f"item {seq + 1} came back as {back}, not as {item}"
     return ""
 
@@ -106,7 +96,7 @@ def alterations(sent: Sequence[PlanItem], found: Sequence[PlanItem], kind: int) 
         heads = math.isfinite(item.yaw)
         for number, (value, stored) in enumerate(zip(_numbers(item), _numbers(back), strict=True), 1):
             turned = math.remainder(value - stored, 360.0) if heads and number == _HEADING else math.nan
-            if not (_alike(value, stored) or abs(turned) < _HEADING_TOLERANCE):
+            if not (_are_alike(value, stored) or abs(turned) < _HEADING_TOLERANCE):
                 altered.append(f"param{number} {value:g} of item {seq} as {stored:g}")
     return altered if kind == plan.MISSION else [f"{KINDS[kind]}: {text}" for text in altered]
 
@@ -116,22 +106,18 @@ def _numbers(item: PlanItem) -> tuple[float, ...]:
     return (*item.params, item.x, item.y, item.z) if item.frame == FRAME_MISSION else (*item.params, 0.0, 0.0, item.z)
 
 
-def _alike(a: float, b: float) -> bool:
+def _are_alike(a: float, b: float) -> bool:
     return math.isclose(a, b, rel_tol=_NUMBER_TOLERANCE, abs_tol=1e-6) or (a != a and b != b)
 
 
-def _same_place(a: PlanItem, b: PlanItem) -> bool:
-    return max(abs(a.x - b.x), abs(a.y - b.y)) <= _PLACE_TOLERANCE
-
-
-def _equal(a: PlanItem, b: PlanItem, kind: int) -> bool:
+def _are_equal(a: PlanItem, b: PlanItem, kind: int) -> bool:
     if (a.command, _FRAMES.get(a.frame)) != (b.command, _FRAMES.get(b.frame)):
         return False
     if kind == plan.MISSION and a.autocontinue != b.autocontinue:
         return False
-    if a.frame != FRAME_MISSION and not _same_place(a, b):
+    if a.frame != FRAME_MISSION and max(abs(a.x - b.x), abs(a.y - b.y)) > _PLACE_TOLERANCE:
         return False
-    return all(map(_alike, (*a.params, a.z), (*b.params, b.z)))
+    return all(map(_are_alike, (*a.params, a.z), (*b.params, b.z)))
 
 
 def cancel_transfers(system: int) -> list[Any]:
@@ -181,7 +167,7 @@ def _upload_once(system: int, kind: int, items: Items, progress: Progress) -> Ex
 
 def _refusal(result: int, kind: int, requested: int, items: Items) -> RefusalError:
     entry = mavlink.enums["MAV_MISSION_RESULT"].get(result)
-    name = entry.name if entry is not None else f"result {result}"
+    name = f"result {result}" if entry is None else entry.name
     known = 0 <= requested < len(items)
     where = f"item {requested + 1} (command {items[requested].command})" if known else f"{len(items)} items"
     return RefusalError(f"{KINDS[kind]}: the vehicle rejects {where}: {name}", result not in _RETRIED)
@@ -232,8 +218,8 @@ def _request(system: int, seq: int, kind: int) -> Any:
     return mavlink.MAVLink_mission_request_int_message(system, AUTOPILOT, seq, kind)
 
 
-def _acceptance(system: int, kind: int) -> list[Any]:
-    return [mavlink.MAVLink_mission_ack_message(system, AUTOPILOT, mavlink.MAV_MISSION_ACCEPTED, kind)]
+def _acceptance(system: int, kind: int) -> Unanswered:
+    return Unanswered([mavlink.MAVLink_mission_ack_message(system, AUTOPILOT, mavlink.MAV_MISSION_ACCEPTED, kind)])
 
 
 def _retry(system: int, once: Callable[[], Exchange[T]]) -> Exchange[T]:
@@ -255,54 +241,24 @@ def _retry(system: int, once: Callable[[], Exchange[T]]) -> Exchange[T]:
     raise AssertionError("unreachable")
 
 
-def _with_home(items: Items, home: Position) -> Items:
-    """Return the items of an ArduPilot mission: the home position, then the items of a plan."""
-    first = PlanItem(plan.WAYPOINT, FRAME_GLOBAL, (0.0,) * 4, *home)
-    return (first, *(_shift_jump(item, 1.0) for item in items)) if items else ()
-
-
-def _without_home(items: Items) -> Items:
-    """Return the items of a plan from an ArduPilot mission."""
-    return tuple(_shift_jump(item, -1.0) for item in items[1:])
-
-
-def _shift_jump(item: PlanItem, offset: float) -> PlanItem:
-    """Return an item; the target of a jump is moved by ``offset`` items."""
-    if item.command != plan.JUMP:
-        return item
-    return replace(item, params=(item.params[0] + offset, *item.params[1:]))
-
-
-def upload_list(
-    system: int,
-    kind: int,
-    items: Items,
-    progress: Progress = ignore_progress,
-    autopilot: int = _PX4,
-    home: Position = (0.0, 0.0, 0.0),
-) -> Exchange[list[str]]:
+def upload_list(system: int, kind: int, items: Items, progress: Progress = ignore_progress) -> Exchange[list[str]]:
     """Replace a list of a vehicle, download it again and compare; return its ``alterations``.
 
     Args:
         system: MAVLink system id of the vehicle.
-        kind: MAV_MISSION_TYPE.
-        items: the items of a plan.
-        progress: callback.
-        autopilot: MAV_AUTOPILOT.
-        home: latitude and longitude, degrees, and altitude, m AMSL; the first item of an ArduPilot mission.
+        kind: MAV_MISSION_TYPE of the list.
+        items: Items of a plan.
+        progress: Callback.
 
     Raises:
         RefusalError: the vehicle rejects the list.
     """
-    with_home = autopilot == _ARDUPILOT and kind == plan.MISSION
-    sent = _with_home(items, home) if with_home else items
 
     def once() -> Exchange[list[str]]:
-        yield from _upload_once(system, kind, sent, progress)
+        yield from _upload_once(system, kind, items, progress)
         found = yield from _download_once(system, kind, progress)
-        yield from _send(_acceptance(system, kind))
-        found = _without_home(found) if with_home else found
-        wrong = difference(items, found, kind, autopilot)
+        yield _acceptance(system, kind)
+        wrong = difference(items, found, kind)
         if wrong:
             raise RefusalError(f"{KINDS[kind]}: {wrong}", False)
         return alterations(items, found, kind)
@@ -310,21 +266,15 @@ def upload_list(
     return (yield from _retry(system, once))
 
 
-def download_list(
-    system: int, kind: int, progress: Progress = ignore_progress, autopilot: int = _PX4
-) -> Exchange[Items]:
-    """Return a list of a vehicle as the items of a plan; ``autopilot``: MAV_AUTOPILOT.
+def download_list(system: int, kind: int, progress: Progress = ignore_progress) -> Exchange[Items]:
+    """Return a list of a vehicle as the items of a plan.
 
     Raises:
         RefusalError: the vehicle does not send it.
     """
     found = yield from _retry(system, lambda: _download_once(system, kind, progress))
-    yield from _send(_acceptance(system, kind))
-    return _without_home(found) if autopilot == _ARDUPILOT and kind == plan.MISSION else found
-
-
-def _send(messages: list[Any]) -> Exchange[None]:
-    yield Unanswered(messages)
+    yield _acceptance(system, kind)
+    return found
 
 
 # whole plans
@@ -348,40 +298,41 @@ def check_capacity(content: Plan) -> str:
 
 
 def upload_plan(
-    system: int, content: Plan, progress: Progress = ignore_progress, autopilot: int = _PX4
+    system: int, content: Plan, progress: Progress = ignore_progress, kinds: Sequence[int] = plan.KINDS
 ) -> Exchange[list[str]]:
-    """Replace all three lists of a vehicle, also by empty ones, as QGroundControl does; see ``upload_list``.
+    """Replace lists of a vehicle, also by empty ones, as QGroundControl does; see ``upload_list``.
+
+    Args:
+        system: MAVLink system id of the vehicle.
+        content: Plan with the lists.
+        progress: Callback.
+        kinds: MAV_MISSION_TYPEs of the lists, all by default.
 
     Raises:
         RefusalError: the vehicle rejects one of them.
     """
     altered: list[str] = []
-    for kind in plan.KINDS:
-        altered += yield from upload_list(system, kind, content.items(kind), progress, autopilot, content.home)
+    for kind in kinds:
+        altered += yield from upload_list(system, kind, content.items(kind), progress)
     return altered
 
 
-def download_plan(system: int, progress: Progress = ignore_progress, autopilot: int = _PX4) -> Exchange[Plan]:
-    """Return the plan of a vehicle; see ``download_list``.
+def download_plan(system: int, progress: Progress = ignore_progress) -> Exchange[Plan]:
+    """Return the plan of a vehicle with its home position, zeros for none; see ``download_list``.
 
     Raises:
         RefusalError: the vehicle does not send one of the lists.
     """
     lists = []
     for kind in plan.KINDS:
-        lists.append((yield from download_list(system, kind, progress, autopilot)))
-    home = yield from _download_home(system)
-    return Plan(lists[0], lists[1], lists[2], home, firmware=autopilot if autopilot == _ARDUPILOT else _PX4)
-
-
-def _download_home(system: int) -> Exchange[Position]:
-    """Return the home position: latitude, longitude, degrees, and altitude, m AMSL; zeros for none."""
+        lists.append((yield from download_list(system, kind, progress)))
     home = yield from fetch_message(system, "HOME_POSITION")
-    return (0.0, 0.0, 0.0) if home is None else (home.latitude * 1e-7, home.longitude * 1e-7, home.altitude * 1e-3)
+    place = (0.0, 0.0, 0.0) if home is None else (home.latitude * 1e-7, home.longitude * 1e-7, home.altitude * 1e-3)
+    return Plan(lists[0], lists[1], lists[2], place)
 
 
-def clear_plan(system: int, progress: Progress = ignore_progress, autopilot: int = _PX4) -> Exchange[None]:
-    """Clear all lists of a vehicle; ``autopilot``: MAV_AUTOPILOT.
+def clear_plan(system: int, progress: Progress = ignore_progress) -> Exchange[None]:
+    """Clear all lists of a vehicle.
 
     Raises:
         RefusalError: the vehicle does not clear them.
@@ -398,6 +349,6 @@ def clear_plan(system: int, progress: Progress = ignore_progress, autopilot: int
 
     yield from _retry(system, once)
     for kind in plan.KINDS:
-        left = yield from download_list(system, kind, progress, autopilot)
+        left = yield from download_list(system, kind, progress)
         if left:
             raise RefusalError(f"{KINDS[kind]}: {len(left)} items are left after the clearing", True)

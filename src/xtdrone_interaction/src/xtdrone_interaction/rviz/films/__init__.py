@@ -1,0 +1,1 @@
+"""``./xtdrone record-view``: films of flights in rviz, without a screen."""

@@ -24,7 +24,7 @@ from pathlib import Path
 import rosgraph
 from rich.console import Console
 
-from xtdrone_interaction import command_options, sim_cli
+from xtdrone_interaction import command_options, simulation_services
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.launching.supervised_launch import DemoError, Interrupted, defer_signals, raise_on_signals
 from xtdrone_interaction.rviz.films.film_options import (
@@ -180,8 +180,10 @@ def film_running(settings: FilmSettings, work: Path, console: Console) -> None:
     """
     given = f"http://localhost:{settings.master}" if settings.master.isdigit() else settings.master
     try:
-        uri, _ = sim_cli.choose_master(given, os.environ.get("ROS_MASTER_URI", ""), [sim_cli.RUNS])
-    except sim_cli.SimError as error:
+        uri, _ = simulation_services.choose_master(
+            given, os.environ.get("ROS_MASTER_URI", ""), [simulation_services.RUNS]
+        )
+    except simulation_services.SimError as error:
         raise StageError(f"{error}; or film a recorded flight: --bag FILE") from error
     master = rosgraph.Master("/record_view", master_uri=uri)
     try:

@@ -14,7 +14,7 @@ from xtdrone_msgs.msg import SimulationStatus
 from xtdrone_msgs.srv import GetStatus, GetStatusRequest, Hold, HoldRequest
 
 from xtdrone_interaction.service_client import ServiceConnection, ServiceError
-from xtdrone_interaction.sim_cli import SimError, call, find_service, parameter
+from xtdrone_interaction.simulation_services import SimError, call, find_service, parameter
 
 _TICK_LIMIT = 2.0  # s of wall time for a tick; a participant at a breakpoint takes longer
 _CALLER = "/operator_action"

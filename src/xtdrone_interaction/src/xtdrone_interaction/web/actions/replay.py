@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger, TriggerRequest
 from xtdrone_msgs.msg import SimulationStatus
 from xtdrone_msgs.srv import Step, StepRequest
 
-from xtdrone_interaction.sim_cli import SimError, call
+from xtdrone_interaction.simulation_services import SimError, call
 from xtdrone_interaction.web.actions.held_time import status_of
 from xtdrone_interaction.web.actions.operator_actions import OperatorActions
 from xtdrone_interaction.web.actions.recorded_actions import ActionError, RecordedAction

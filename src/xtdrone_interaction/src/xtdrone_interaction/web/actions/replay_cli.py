@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.sim_cli import RUNS, SimError, choose_master, master_uri
+from xtdrone_interaction.simulation_services import RUNS, SimError, choose_master, master_uri
 from xtdrone_interaction.web.actions.recorded_actions import ActionError, read_actions
 
 

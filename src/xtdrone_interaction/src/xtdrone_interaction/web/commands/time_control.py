@@ -13,7 +13,7 @@ from xtdrone_msgs.srv import ResetVehicle, ResetVehicleRequest, SetSpeed, SetSpe
 
 from xtdrone_control.programs.node_command_line import LEAST_SPEED
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.sim_cli import SimError, call
+from xtdrone_interaction.simulation_services import SimError, call
 from xtdrone_interaction.web.commands.vehicle_commands import chosen_vehicles
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch

@@ -17,7 +17,7 @@ from xtdrone_interaction.gcs import station
 from xtdrone_interaction.gcs.exchanges import commands_and_refusals
 from xtdrone_interaction.gcs.exchanges.commands_and_refusals import Target
 from xtdrone_interaction.gcs.vehicle_addresses import GcsError, Peer
-from xtdrone_interaction.sim_cli import SimError, call
+from xtdrone_interaction.simulation_services import SimError, call
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
 from xtdrone_interaction.web.server.methods import CallError, Method, Params

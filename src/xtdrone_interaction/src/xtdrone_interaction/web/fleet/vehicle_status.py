@@ -24,7 +24,7 @@ from xtdrone_msgs.msg import SimulationStatus
 from xtdrone_interaction.doctor.findings import ESTIMATES, Finding, Graph, Simulator, Vehicle, examine_vehicle
 from xtdrone_interaction.doctor.graph import Master, read_master
 from xtdrone_interaction.doctor.readings import read_asked_vehicles, simulator_of
-from xtdrone_interaction.sim_cli import SimError
+from xtdrone_interaction.simulation_services import SimError
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from xtdrone_interaction.sim_cli import SimError, call
+from xtdrone_interaction.simulation_services import SimError, call
 from xtdrone_interaction.topics.discovery import TopicGraph
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.inspection.topic_room import TopicRoom

@@ -135,7 +135,7 @@ def _text_of(result: Any) -> str:
 def _send(files: Mapping[str, Plan]) -> dict[str, Any]:
     def store(name: str, heartbeat: Heartbeat) -> Exchange[list[str]]:
         progress = station.progress_of(name, None)
-        return plan_exchanges.upload_plan(heartbeat.system, files[name], progress, heartbeat.autopilot)
+        return plan_exchanges.upload_plan(heartbeat.system, files[name], progress)
 
     jobs = {peer: partial(store, peer.name) for peer in peers_now(list(files))}
     return dict(station.run(jobs, patience=_PATIENCE))

@@ -16,7 +16,7 @@ from xtdrone_control.autopilot.parameters.metadata import parameter_definitions
 from xtdrone_control.autopilot.parameters.parameters import NAMES, Parameters
 from xtdrone_interaction import command_options
 from xtdrone_interaction.parameter_secrets import is_secret, without_secrets
-from xtdrone_interaction.sim_cli import SimError, call
+from xtdrone_interaction.simulation_services import SimError, call
 from xtdrone_interaction.topics.ros_names import absolute_name
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.parameters.declared_settings import Tables, declared_for, read_declared

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from xtdrone_control.settings import SettingError
-from xtdrone_interaction import sim_cli
+from xtdrone_interaction import simulation_services
+from xtdrone_interaction.gcs.vehicle_addresses import GcsError
 from xtdrone_planning.planner_settings import GoalError, PlannerSettings
-
-from .vehicle_addresses import GcsError
 
 _CONNECTIONS = 5.0  # s of wall time for the connections to the planners
 _REPORT = 3.0  # s of wall time for a report of the vehicle
@@ -36,9 +35,11 @@ def send_goals(goals: Mapping[str, Goal], master: str = "") -> dict[str, GcsErro
         argparse.ArgumentTypeError: ``master`` is neither.
     """
     try:
-        given = sim_cli.master_uri(master) if master else ""
-        uri, _ = sim_cli.choose_master(given, os.environ.get("ROS_MASTER_URI", ""), [sim_cli.RUNS])
-    except sim_cli.SimError as error:
+        given = simulation_services.master_uri(master) if master else ""
+        uri, _ = simulation_services.choose_master(
+            given, os.environ.get("ROS_MASTER_URI", ""), [simulation_services.RUNS]
+        )
+    except simulation_services.SimError as error:
         raise GcsError(str(error)) from error
     os.environ["ROS_MASTER_URI"] = uri
 

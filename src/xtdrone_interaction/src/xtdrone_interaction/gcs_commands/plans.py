@@ -1,14 +1,19 @@
-"""``xtdrone gcs upload``, ``download``, ``clear`` and ``check``: QGroundControl's plans for vehicles."""
+"""``xtdrone gcs upload``, ``download``, ``clear`` and ``check``: QGroundControl's plans for vehicles.
+
+``xtdrone gcs fence`` and ``rally`` do the same with a single list; the vehicle's other lists stay unchanged.
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
 from xtdrone_control.autopilot.navigator.feasibility import Situation
@@ -16,16 +21,17 @@ from xtdrone_control.autopilot.parameters import parameter_file
 from xtdrone_control.geodesy import projection
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
-from xtdrone_interaction.gcs.command_line.terminal_output import Display
+from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
+from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat, Progress
+from xtdrone_interaction.gcs.exchanges.plans import KINDS
+from xtdrone_interaction.gcs.vehicle_addresses import GcsError, Peer
 
-from ..exchanges import plans as plan_exchanges
-from ..exchanges.exchange import Exchange, Heartbeat
-from ..station import progress_of
-from ..vehicle_addresses import GcsError, Peer
-from .arguments import Adder, UsageError, run, select_named, select_vehicles
+from .arguments import Commands, UsageError, run_shown, select_named, select_vehicles
 from .parameters import check_file
 
 _FIRST_DISTANCE = 900.0  # m, PX4's default of MIS_DIST_1WP
+_FILES = "plan files, or folders of them"
+_FIELDS = {plan.FENCE: "fence", plan.RALLY: "rally"}  # of a plan, by MAV_MISSION_TYPE
 
 
 def _summary(content: Plan) -> str:
@@ -174,51 +180,75 @@ def path_length(content: Plan) -> float:
 # commands; each returns the exit status
 
 
-def _upload(arguments: argparse.Namespace) -> int:
+def _upload(arguments: argparse.Namespace, kind: int | None = None) -> int:
+    """Upload plan files; ``kind``: the only list of them to upload."""
     content = read_plans(arguments.files)
+    for file, found in content.items():
+        if kind is not None and not found.items(kind):
+            raise UsageError(f"{file}: no {KINDS[kind]} in it; 'clear' empties the vehicle's")
     peers = select_vehicles(arguments) if arguments.vehicle else []
     plans = assign(content, [peer.name for peer in peers])
-    peers = peers or owners(plans, arguments)
-    display = Display([peer.name for peer in peers])
 
-    def store(name: str, heartbeat: Heartbeat) -> Exchange[list[str]]:
-        progress = progress_of(name, display.watch)
-        return plan_exchanges.upload_plan(heartbeat.system, plans[name], progress, heartbeat.autopilot)
+    def describe(name: str) -> str:
+        return _summary(plans[name]) if kind is None else f"{len(plans[name].items(kind))} items of {KINDS[kind]}"
 
-    results = run({peer: partial(store, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
-    return display.results(
-        peers, results, lambda name, altered: f"{_summary(plans[name])}: {plan_exchanges.outcome(altered)}"
+    return _store(
+        arguments,
+        {peer: plans[peer.name] for peer in peers or owners(plans, arguments)},
+        plan.KINDS if kind is None else (kind,),
+        lambda name, altered: f"{describe(name)}: {plan_exchanges.outcome(altered)}",
     )
 
 
-def _download(arguments: argparse.Namespace) -> int:
+def _store(
+    arguments: argparse.Namespace,
+    plans: Mapping[Peer, Plan],
+    kinds: Sequence[int],
+    text: Callable[[str, Any], str],
+) -> int:
+    def store(peer: Peer, progress: Progress, heartbeat: Heartbeat) -> Exchange[list[str]]:
+        return plan_exchanges.upload_plan(heartbeat.system, plans[peer], progress, kinds)
+
+    return run_shown(arguments, list(plans), store, text, plan_exchanges.cancel_transfers)[0]
+
+
+def _download(arguments: argparse.Namespace, kind: int | None = None) -> int:
+    """Download plans; ``kind``: the only list of them to download, which keeps the other lists of an existing file."""
+
+    def fetch(_peer: Peer, progress: Progress, heartbeat: Heartbeat) -> Exchange[Any]:
+        if kind is None:
+            return plan_exchanges.download_plan(heartbeat.system, progress)
+        return plan_exchanges.download_list(heartbeat.system, kind, progress)
+
+    def write(name: str, found: Any) -> str:
+        file: Path = arguments.to / f"{name}{qgc_plan.SUFFIX}"
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            if kind is None:
+                content, text = found, _summary(found)
+            else:
+                before = qgc_plan.read(file) if file.exists() else Plan(())
+                content, text = replace(before, **{_FIELDS[kind]: found}), f"{len(found)} items of {KINDS[kind]}"
+            qgc_plan.write(file, content)
+        except (PlanError, OSError) as error:
+            what = "plan" if kind is None else KINDS[kind]
+            raise GcsError(f"{name}: its {what} cannot be written: {error}") from error
+        return f"{text}: {file}"
+
+    return run_shown(arguments, select_vehicles(arguments), fetch, write, plan_exchanges.cancel_transfers)[0]
+
+
+def _clear(arguments: argparse.Namespace, kind: int | None = None) -> int:
+    """Clear plans; ``kind``: the only list of them to clear."""
     peers = select_vehicles(arguments)
-    folder: Path = arguments.to
-    display = Display([peer.name for peer in peers])
+    if kind is not None:
+        return _store(arguments, dict.fromkeys(peers, Plan(())), (kind,), lambda *_: f"no {KINDS[kind]} any more")
 
-    def fetch(name: str, heartbeat: Heartbeat) -> Exchange[Plan]:
-        return plan_exchanges.download_plan(heartbeat.system, progress_of(name, display.watch), heartbeat.autopilot)
+    def clear(_peer: Peer, progress: Progress, heartbeat: Heartbeat) -> Exchange[None]:
+        return plan_exchanges.clear_plan(heartbeat.system, progress)
 
-    results = run({peer: partial(fetch, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
-    for name, result in results.items():
-        if isinstance(result, Plan):
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                qgc_plan.write(folder / f"{name}{qgc_plan.SUFFIX}", result)
-            except (PlanError, OSError) as error:
-                results[name] = GcsError(f"{name}: its plan cannot be written: {error}")
-    return display.results(peers, results, lambda name, result: f"{_summary(result)}: {folder / name}{qgc_plan.SUFFIX}")
-
-
-def _clear(arguments: argparse.Namespace) -> int:
-    peers = select_vehicles(arguments)
-    display = Display([peer.name for peer in peers])
-
-    def clear(name: str, heartbeat: Heartbeat) -> Exchange[None]:
-        return plan_exchanges.clear_plan(heartbeat.system, progress_of(name, display.watch), heartbeat.autopilot)
-
-    results = run({peer: partial(clear, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
-    return display.results(peers, results, lambda *_: "mission, fence and rally points are cleared")
+    text = "mission, fence and rally points are cleared"
+    return run_shown(arguments, peers, clear, lambda *_: text, plan_exchanges.cancel_transfers)[0]
 
 
 def _check(arguments: argparse.Namespace) -> int:
@@ -239,20 +269,41 @@ def _check(arguments: argparse.Namespace) -> int:
     return status
 
 
-def add_to(add: Adder) -> None:
+def add_to(commands: Commands) -> None:
     """Add these commands to the command line."""
-    files = "plan files, or folders of them"
-    upload = add(
-        "upload", _upload, "upload plan files to the vehicles that they are named after, and compare the stored plans"
+    _add_transfers(
+        commands,
+        None,
+        "upload plan files to the vehicles that they are named after, and compare the stored plans",
+        "download the vehicles' plans into NAME.plan",
+        "clear the vehicles' missions, fences and rally points",
     )
-    upload.add_argument("files", type=Path, nargs="+", metavar="FILE", help=f"{files}; NAME.plan goes to vehicle NAME")
-    download = add("download", _download, "download the vehicles' plans into NAME.plan")
-    download.add_argument(
-        "--to", type=Path, default=Path(), metavar="FOLDER", help="folder to write to (default: here)"
-    )
-    add("clear", _clear, "clear the vehicles' missions, fences and rally points")
-    check = add(
+    check = commands.add(
         "check", _check, "check plan files as PX4 does, list a .params file's parameters without effect; no vehicle is "
         "needed", False
     )  # fmt: skip
-    check.add_argument("files", type=Path, nargs="+", metavar="FILE", help=f"{files}; NAME.params")
+    check.add_argument("files", type=Path, nargs="+", metavar="FILE", help=f"{_FILES}; NAME.params")
+
+
+def add_lists_to(commands: Commands) -> None:
+    """Add the groups of commands for a single list."""
+    for kind, word in _FIELDS.items():
+        what = KINDS[kind]
+        _add_transfers(
+            commands.add_group(word, f"only the {what}: upload, download, clear"),
+            kind,
+            f"upload the {what} of plan files to the vehicles that the files are named after",
+            f"download the vehicles' {what} into NAME.plan, keeping its other lists",
+            f"clear the vehicles' {what}",
+        )
+
+
+def _add_transfers(commands: Commands, kind: int | None, upload: str, download: str, clear: str) -> None:
+    """Add the transfers of whole plans (``kind`` None) or of one list, with the help text of each."""
+    files = f"{_FILES}; NAME.plan goes to vehicle NAME" if kind is None else _FILES
+    command = commands.add("upload", partial(_upload, kind=kind), upload)
+    command.add_argument("files", type=Path, nargs="+", metavar="FILE", help=files)
+    command = commands.add("download", partial(_download, kind=kind), download)
+    command.add_argument("--to", type=Path, default=Path(), metavar="FOLDER",
+                         help="folder to write to (default: here)")  # fmt: skip
+    commands.add("clear", partial(_clear, kind=kind), clear)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from ..vehicle_addresses import GcsError, Peer
+from xtdrone_interaction.gcs.vehicle_addresses import GcsError, Peer
 
 _REDRAW = 0.05  # s between two updates of the progress
 
@@ -79,16 +79,21 @@ class Display:
         """Print the result of each vehicle, errors to standard error, and return the exit status.
 
         Args:
-            peers: the vehicles.
-            results: result or error by name of the vehicle.
-            text: formats the line of a vehicle from its name and its result.
+            peers: Vehicles.
+            results: Result or error by name of the vehicle; the errors of ``text`` are added.
+            text: Returns the line of a vehicle from its name and its result; may raise GcsError.
         """
         if self._screen is not None:
             self._screen.erase()
         for peer in peers:
-            result = results[peer.name]
-            self._lines[peer.name] = "failed" if isinstance(result, GcsError) else text(peer.name, result)
-            print(self._line(peer.name), file=self._file)
+            name = peer.name
+            try:
+                if isinstance(results[name], GcsError):
+                    raise results[name]
+                self._lines[name] = text(name, results[name])
+            except GcsError as error:
+                results[name], self._lines[name] = error, "failed"
+            print(self._line(name), file=self._file)
         self._file.flush()
         return print_errors(results.values())
 

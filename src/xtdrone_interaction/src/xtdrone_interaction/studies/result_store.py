@@ -20,9 +20,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from xtdrone_control.files import replacing
-from xtdrone_interaction.command_options import OptionError
+from xtdrone_interaction.studies.study_parameters import StudyError
 
-FORMAT = 2  # of runs.sqlite; 1 was a folder of Parquet files
+FORMAT = 2  # of runs.sqlite
 METADATA = b"xtdrone.study"
 FLUSH = 2.0  # s, longest time from a finished run to its commit
 _FILE = "runs.sqlite"
@@ -34,7 +34,29 @@ CREATE TABLE IF NOT EXISTS study (header TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS runs (key TEXT PRIMARY KEY, good INTEGER NOT NULL, row TEXT NOT NULL) WITHOUT ROWID;
 """
 
-Row = Mapping[str, Any]
+COLLISION_DISTANCE = 0.5
+"""Distance between the centres of two vehicles that have collided, m."""
+FIGURES: dict[str, tuple[type, str]] = {
+    "settled": (bool, ""),
+    "settling_time": (float, "s"),
+    "overshoot": (float, "m"),
+    "steady_error": (float, "m"),
+    "least_distance": (float, "m"),
+    "collisions": (int, ""),
+    "assigned_distance": (float, "m"),
+    "simulated_time": (float, "s"),
+    "wall_time": (float, "s"),
+}
+"""Figures of every run: type and unit.
+
+settled: whether every pattern settled; settling_time: of the slowest pattern, None unless all settled; overshoot and
+steady_error: largest over all patterns; least_distance: between any two vehicles after the first pattern's command;
+collisions: number of pairs closer than COLLISION_DISTANCE; assigned_distance: sum over all patterns. All but wall_time
+are reproducible bit by bit.
+"""
+
+Row = dict[str, Any]
+"""A run: key, seed, varied parameters, figures, and its error (None for success)."""
 
 
 class Store:
@@ -55,7 +77,7 @@ class Store:
             header: description of the study, JSON data.
 
         Raises:
-            OptionError: another sweep is running in the folder, or it does not belong to a sweep of this format.
+            StudyError: another sweep is running in the folder, or it does not belong to a sweep of this format.
             OSError: the folder cannot be written to.
         """
         self.folder = folder.resolve()
@@ -141,26 +163,21 @@ def _check_folder(folder: Path) -> None:
     """Refuse a path that cannot become, or is not, a sweep's folder of this format.
 
     Raises:
-        OptionError: it is a file, holds other files, or a sweep of an earlier version.
+        StudyError: it is a file, or holds other files.
     """
     if folder.exists() and not folder.is_dir():
-        raise OptionError(f"out: {str(folder)!r} is a file; a folder is needed")
+        raise StudyError(f"out: {str(folder)!r} is a file; a folder is needed")
     if not folder.exists() or (folder / _FILE).exists():
         return
-    if (folder / "study.json").is_file():
-        raise OptionError(
-            f"out: {str(folder)!r} holds a sweep of an earlier version, which cannot be continued; choose another "
-            "--out (its results.parquet can still be read)"
-        )
     if any(path.name != _JOURNAL for path in folder.iterdir()):
-        raise OptionError(f"out: {str(folder)!r} is not empty and no sweep's folder; choose another --out")
+        raise StudyError(f"out: {str(folder)!r} is not empty and no sweep's folder; choose another --out")
 
 
 def _open(file: Path) -> sqlite3.Connection:
     """Open a database and lock it until it is closed, or the process ends.
 
     Raises:
-        OptionError: another process has locked it, or it is damaged or has another format.
+        StudyError: another process has locked it, or it is damaged or has another format.
         OSError: it cannot be written to.
     """
     database = sqlite3.connect(file, timeout=0.0)
@@ -169,16 +186,16 @@ def _open(file: Path) -> sqlite3.Connection:
         database.execute("BEGIN EXCLUSIVE")
         version = database.execute("PRAGMA user_version").fetchone()[0]
         if version not in (0, FORMAT):  # 0: a new file
-            raise OptionError(f"out: {file} has format {version}; {FORMAT} is understood, choose another --out")
+            raise StudyError(f"out: {file} has format {version}; {FORMAT} is understood, choose another --out")
         database.executescript(f"{_TABLES} PRAGMA user_version = {FORMAT};")
     except sqlite3.Error as error:
         database.close()
         if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
-            raise OptionError(f"out: another sweep is running in {file.parent}") from None
+            raise StudyError(f"out: another sweep is running in {file.parent}") from None
         if error.sqlite_errorcode in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
-            raise OptionError(f"out: {file} is damaged: {error}") from error
+            raise StudyError(f"out: {file} is damaged: {error}") from error
         raise OSError(0, str(error), str(file)) from error
-    except OptionError:
+    except StudyError:
         database.close()
         raise
     return database

@@ -12,11 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_coordination.patterns import PatternError
-from xtdrone_interaction.command_options import OptionError, swarm_patterns
-from xtdrone_interaction.sweep.fly_one_run import check_options
-from xtdrone_interaction.sweep.study.study_file import AIRBORNE, Axis, Study
-from xtdrone_interaction.sweep.study.study_parameters import DEFAULTS, Value
+from xtdrone_coordination.patterns import PatternError, Patterns
+from xtdrone_interaction.studies.study_file import AIRBORNE, Axis, Study
+from xtdrone_interaction.studies.study_parameters import DEFAULTS, StudyError, Value, make_options
 
 _KEY_LENGTH = 20  # hexadecimal digits: 80 bits
 
@@ -26,10 +24,10 @@ class Run:
     """One flight of a study.
 
     Attributes:
-        index: in the plan.
-        key: hash of everything that determines the result; the same in every study with this run.
-        varied: values of the varied parameters.
-        seed: of all random numbers.
+        index: Index in the plan.
+        key: Hash of everything that determines the result; the same in every study with this run.
+        varied: Values of the varied parameters.
+        seed: Seed of all random numbers.
     """
 
     index: int
@@ -89,7 +87,7 @@ class Plan(Sequence[Run]):
         """Check that every combination of parameters can be flown.
 
         Raises:
-            OptionError, PatternError: one cannot; the message names it.
+            StudyError, PatternError: one cannot; the message names it.
         """
         study = self.study
         options: set[tuple[Any, ...]] = set()
@@ -99,8 +97,8 @@ class Plan(Sequence[Run]):
             varied = self.point(number)
             values = tuple(varied.values())
             if values in keys:
-                raise OptionError(
-                    f"parameters: {_words(varied)} is given twice, as points {keys[values]} and {number} of "
+                raise StudyError(
+                    f"parameters: {_describe(varied)} is given twice, as points {keys[values]} and {number} of "
                     f"{study.points} (combine: {study.combine})"
                 )
             keys[values] = number
@@ -114,9 +112,9 @@ class Plan(Sequence[Run]):
             _check_patterns(count, names, altitude)
         for chosen in sorted(options, key=str):
             try:
-                check_options(dict(chosen))
+                make_options(DEFAULTS | dict(chosen))
             except (ValueError, TypeError) as error:
-                raise OptionError(f"parameters {_words(dict(chosen))}: {error}") from error
+                raise StudyError(f"parameters {_describe(dict(chosen))}: {error}") from error
 
     def _key(self, varied: dict[str, Value], seed: int) -> str:
         text = json.dumps([self._base, varied, seed], sort_keys=True)
@@ -132,11 +130,11 @@ class Plan(Sequence[Run]):
             unit = qmc.LatinHypercube(size, seed=study.sample_seed).random(study.samples)
         else:
             unit = np.random.default_rng(study.sample_seed).random((study.samples, size))
-        columns = [_drawn(axis, unit[:, k]) for k, axis in enumerate(study.axes)]
+        columns = [_draw(axis, unit[:, k]) for k, axis in enumerate(study.axes)]
         return list(zip(*columns, strict=True))
 
 
-def _drawn(axis: Axis, unit: Any) -> list[Value]:
+def _draw(axis: Axis, unit: Any) -> list[Value]:
     """Map numbers in [0, 1) to values of an axis."""
     if not axis.sampled:
         return [axis.values[int(u * len(axis.values))] for u in unit]
@@ -150,8 +148,9 @@ def _drawn(axis: Axis, unit: Any) -> list[Value]:
 
 
 def _check_patterns(count: int, names: str, altitude: float) -> None:
-    for name, slots in swarm_patterns(count, names.split(",")).items():
-        lowest = altitude + float(slots[:, 2].min())
+    patterns = Patterns(count)
+    for name in dict.fromkeys(["origin", *names.split(",")]):
+        lowest = altitude + float(patterns.offsets(name)[:, 2].min())
         if lowest < 1.0:
             raise PatternError(
                 f"altitude: {altitude:g} m is not allowed with pattern {name!r} of {count} vehicles, whose lowest slot "
@@ -159,5 +158,5 @@ def _check_patterns(count: int, names: str, altitude: float) -> None:
             )
 
 
-def _words(values: dict[str, Value]) -> str:
+def _describe(values: dict[str, Value]) -> str:
     return ", ".join(f"{name}={value}" for name, value in values.items()) or "none"

@@ -10,13 +10,13 @@ from functools import partial
 from typing import Any
 
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.gcs.command_line.terminal_output import Display
+from xtdrone_interaction.gcs.exchanges import commands_and_refusals
+from xtdrone_interaction.gcs.exchanges.commands_and_refusals import Target
+from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat
+from xtdrone_interaction.gcs.vehicle_addresses import Peer
 
-from ..exchanges import commands_and_refusals
-from ..exchanges.commands_and_refusals import Target
-from ..exchanges.exchange import Exchange, Heartbeat
-from ..vehicle_addresses import Peer
-from .arguments import Adder, UsageError, run, select_vehicles
+from .arguments import Commands, UsageError, run_shown, select_vehicles
+from .terminal_output import Display
 
 _FAR = 100_000.0  # m
 _PLACES = "X Y Z, m, or --lat, --lon and one of --alt and --height"
@@ -64,37 +64,33 @@ class GotoOptions(Settings):
     )
 
 
-Action = Callable[[Heartbeat], Exchange[None]]
+Action = Callable[[Heartbeat], Exchange[Any]]
 
 
-def _all(arguments: argparse.Namespace, action: Action, done: str) -> int:
+def _command(arguments: argparse.Namespace, action: Action, done: str) -> int:
     """Run one exchange with all selected vehicles and return the exit status."""
-    return _each(arguments, dict.fromkeys(select_vehicles(arguments), action), done)
+    return _command_each(arguments, dict.fromkeys(select_vehicles(arguments), action), lambda *_: done)
 
 
-def _each(arguments: argparse.Namespace, actions: Mapping[Peer, Action], done: str) -> int:
-    display = Display([peer.name for peer in actions])
-    return display.results(list(actions), run(actions, arguments), lambda *_: done)
+def _command_each(
+    arguments: argparse.Namespace, actions: Mapping[Peer, Action], text: Callable[[str, Any], str]
+) -> int:
+    status, _ = run_shown(arguments, list(actions), lambda peer, _, heartbeat: actions[peer](heartbeat), text)
+    return status
 
 
-def _arm(arguments: argparse.Namespace) -> int:
-    return _all(arguments, partial(commands_and_refusals.arm, armed=True, force=arguments.force), "armed")
-
-
-def _disarm(arguments: argparse.Namespace) -> int:
-    return _all(arguments, partial(commands_and_refusals.arm, armed=False, force=arguments.force), "disarmed")
+def _arm(arguments: argparse.Namespace, armed: bool) -> int:
+    action = partial(commands_and_refusals.arm, armed=armed, force=arguments.force)
+    return _command(arguments, action, "armed" if armed else "disarmed")
 
 
 def _takeoff(arguments: argparse.Namespace) -> int:
-    peers = select_vehicles(arguments)
-    display = Display([peer.name for peer in peers])
-    results = run(dict.fromkeys(peers, partial(commands_and_refusals.take_off, height=arguments.height)), arguments)
-
-    def said(_name: str, height: float) -> str:
+    def describe(_name: str, height: float) -> str:
         least = f", the minimum; {arguments.height:g} m were requested" if height > arguments.height else ""
         return f"armed, takes off to {height:g} m{least}"
 
-    return display.results(peers, results, said)
+    action = partial(commands_and_refusals.take_off, height=arguments.height)
+    return _command_each(arguments, dict.fromkeys(select_vehicles(arguments), action), describe)
 
 
 def _goto(arguments: argparse.Namespace) -> int:
@@ -107,19 +103,19 @@ def _goto(arguments: argparse.Namespace) -> int:
         )
     heights = [i * (options.spacing or 0.0) for i in range(len(peers))]
     if arguments.avoid:
-        return _plan(arguments, target, dict(zip(peers, heights, strict=True)))
+        return _hand_to_planners(arguments, target, dict(zip(peers, heights, strict=True)))
     actions = {
         peer: partial(commands_and_refusals.go_to, target=target.raised(height))
         for peer, height in zip(peers, heights, strict=True)
     }
-    return _each(arguments, actions, "goes there")
+    return _command_each(arguments, actions, lambda *_: "goes there")
 
 
-def _plan(arguments: argparse.Namespace, target: Target, heights: Mapping[Peer, float]) -> int:
+def _hand_to_planners(arguments: argparse.Namespace, target: Target, heights: Mapping[Peer, float]) -> int:
     """Hand the target, raised by ``heights`` (m), to the vehicles' planners; return the exit status."""
     if target.local is None or not math.isnan(target.speed):
         raise UsageError("goto: --avoid needs X Y Z and excludes --speed, which the planner sets (~speed)")
-    from ..planner_goals import send_goals  # the only command that needs ROS
+    from .planner_goals import send_goals  # the only command that needs ROS
 
     x, y, z = target.local
     try:
@@ -153,26 +149,33 @@ def _target(options: GotoOptions) -> Target:
 
 
 def _mode(arguments: argparse.Namespace) -> int:
-    return _all(arguments, partial(commands_and_refusals.set_mode, name=arguments.name), f"in mode {arguments.name}")
+    return _command(
+        arguments, partial(commands_and_refusals.set_mode, name=arguments.name), f"in mode {arguments.name}"
+    )
 
 
-def add_to(add: Adder) -> None:
+def add_to(commands: Commands) -> None:
     """Add these commands to the command line."""
     force = "arm despite failed checks"
-    add("arm", _arm, "arm").add_argument("--force", action="store_true", help=force)
+    commands.add("arm", partial(_arm, armed=True), "arm").add_argument("--force", action="store_true", help=force)
     force = "disarm also in flight: the motors stop and the vehicle falls"
-    add("disarm", _disarm, "disarm").add_argument("--force", action="store_true", help=force)
-    takeoff = add("takeoff", _takeoff, "arm and climb straight up")
+    commands.add("disarm", partial(_arm, armed=False), "disarm").add_argument(
+        "--force", action="store_true", help=force
+    )
+    takeoff = commands.add("takeoff", _takeoff, "arm and climb straight up")
     TakeoffOptions.add_arguments(takeoff)
-    goto = add("goto", _goto, "go to a position and hold there; the vehicle has to be in the air")
+    goto = commands.add("goto", _goto, "go to a position and hold there; the vehicle has to be in the air")
     GotoOptions.add_arguments(goto)
     goto.add_argument("--avoid", action="store_true",
                       help="fly by the vehicle's planner, around obstacles that its sensor sees; planner.py must be "
                           "running")  # fmt: skip
     goto.add_argument("--master", metavar="MASTER", help="with --avoid: port or URI of the ROS master (default: "
                       "ROS_MASTER_URI, or the newest flight of this workspace)")  # fmt: skip
-    mode = add("mode", _mode, "set the mode by its PX4 or ArduPilot name, such as MISSION, POSCTL, GUIDED")
+    mode = commands.add("mode", _mode, "set the mode by its PX4 name, such as MISSION, POSCTL, AUTO.LOITER")
     mode.add_argument("name", metavar="NAME", help="the mode")
-    add("hold", lambda arguments: _all(arguments, commands_and_refusals.hold, "holds"), "hold the position")
-    add("rtl", lambda arguments: _all(arguments, commands_and_refusals.rtl, "returns home"), "return home")
-    add("land", lambda arguments: _all(arguments, commands_and_refusals.land, "lands"), "land at the position")
+    for name, action, done, text in (
+        ("hold", commands_and_refusals.hold, "holds", "hold the position"),
+        ("rtl", commands_and_refusals.rtl, "returns home", "return home"),
+        ("land", commands_and_refusals.land, "lands", "land at the position"),
+    ):
+        commands.add(name, partial(_command, action=action, done=done), text)

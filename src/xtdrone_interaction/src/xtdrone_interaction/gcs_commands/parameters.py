@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from xtdrone_control.autopilot.parameters import former_parameters
 from xtdrone_control.autopilot.parameters.parameter_file import (
@@ -23,13 +22,12 @@ from xtdrone_control.autopilot.parameters.parameter_file import (
     write,
 )
 from xtdrone_control.autopilot.parameters.parameters import INDEX, describe
-from xtdrone_interaction.gcs.command_line.terminal_output import Display, print_errors
+from xtdrone_interaction.gcs.exchanges import parameters
+from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat
+from xtdrone_interaction.gcs.vehicle_addresses import GcsError, Peer
 
-from ..exchanges import parameters
-from ..exchanges.exchange import Exchange, Heartbeat
-from ..station import progress_of
-from ..vehicle_addresses import GcsError, Peer
-from .arguments import Adder, UsageError, run, select_vehicles
+from .arguments import Commands, UsageError, run, run_shown, select_vehicles
+from .terminal_output import print_errors
 
 _WILD = frozenset("*?[")
 
@@ -64,14 +62,19 @@ def _get(arguments: argparse.Namespace) -> int:
 
 
 def _set(arguments: argparse.Namespace) -> int:
-    peers = select_vehicles(arguments)
-    display = Display([peer.name for peer in peers])
-    name = arguments.name
-    results = run(dict.fromkeys(peers, partial(parameters.change, name=name, value=arguments.value)), arguments)
-    return display.results(peers, results, lambda _, found: f"{name}: {shown(*found[1])}, was {shown(*found[0])}")
+    name, value = arguments.name, arguments.value
+    status, _ = run_shown(
+        arguments,
+        select_vehicles(arguments),
+        lambda _peer, _progress, heartbeat: parameters.change(heartbeat, name, value),
+        lambda _, change: f"{name}: {shown(*change[1])}, was {shown(*change[0])}",
+    )
+    return status
 
 
-def _files(arguments: argparse.Namespace, peers: Sequence[Peer]) -> tuple[dict[Peer, ParameterFile], list[GcsError]]:
+def _read_files(
+    arguments: argparse.Namespace, peers: Sequence[Peer]
+) -> tuple[dict[Peer, ParameterFile], list[GcsError]]:
     """Read the file for all vehicles, or from a folder the file of each vehicle.
 
     Returns:
@@ -96,7 +99,7 @@ def _files(arguments: argparse.Namespace, peers: Sequence[Peer]) -> tuple[dict[P
 
 def _diff(arguments: argparse.Namespace) -> int:
     peers = select_vehicles(arguments)
-    files, wrong = _files(arguments, peers)
+    files, wrong = _read_files(arguments, peers)
     results = run(dict.fromkeys(files, parameters.fetch_all), arguments)
     different = False
     for peer, content in files.items():
@@ -110,28 +113,20 @@ def _diff(arguments: argparse.Namespace) -> int:
 
 
 def _load(arguments: argparse.Namespace) -> int:
-    peers = select_vehicles(arguments)
-    files, wrong = _files(arguments, peers)
-    display = Display([peer.name for peer in files])
-    jobs = {
-        peer: partial(
-            parameters.load,
-            content=content,
-            of_another=arguments.of_another,
-            progress=progress_of(peer.name, display.watch),
-        )
-        for peer, content in files.items()
-    }
-    results = run(jobs, arguments)
-    status = display.results(list(files), results, lambda _, loaded: _summary(loaded))
-    for peer in files:
-        loaded = results[peer.name]
+    files, wrong = _read_files(arguments, select_vehicles(arguments))
+    status, results = run_shown(
+        arguments,
+        list(files),
+        lambda peer, progress, heartbeat: parameters.load(heartbeat, files[peer], arguments.of_another, progress),
+        lambda _, loaded: _summary(loaded),
+    )
+    for name, loaded in results.items():
         if isinstance(loaded, GcsError):
             continue
-        for name, (old, new) in loaded.changed.items():
-            print(f"{peer.name}  {name:<16}  {shown(*new)}, was {shown(*old)}")
+        for parameter, (old, new) in loaded.changed.items():
+            print(f"{name}  {parameter:<16}  {shown(*new)}, was {shown(*old)}")
         for text in loaded.skipped:
-            print(f"{peer.name}: skipped: {text}", file=sys.stderr)
+            print(f"{name}: skipped: {text}", file=sys.stderr)
     return print_errors(wrong) or status
 
 
@@ -147,18 +142,16 @@ def _save(arguments: argparse.Namespace) -> int:
     into_folder = path.is_dir() or len(peers) > 1
     if into_folder and path.exists() and not path.is_dir():
         raise UsageError(f"{path}: a folder is needed for {len(peers)} vehicles")
-    display = Display([peer.name for peer in peers])
-    jobs = {peer: partial(parameters.save, progress=progress_of(peer.name, display.watch)) for peer in peers}
-    results: dict[str, Any] = run(jobs, arguments)
-    paths = {peer.name: path / f"{peer.name}{SUFFIX}" if into_folder else path for peer in peers}
-    for name, found in results.items():
-        if isinstance(found, GcsError):
-            continue
+
+    def store(name: str, content: ParameterFile) -> str:
+        target = path / f"{name}{SUFFIX}" if into_folder else path
         try:
-            write(paths[name], found)
+            write(target, content)
         except OSError as error:
-            results[name] = GcsError(f"{name}: {paths[name]} cannot be written: {error.strerror}")
-    return display.results(peers, results, lambda name, found: f"{len(found.values)} parameters: {paths[name]}")
+            raise GcsError(f"{name}: {target} cannot be written: {error.strerror}") from error
+        return f"{len(content.values)} parameters: {target}"
+
+    return run_shown(arguments, peers, lambda _, progress, beat: parameters.save(beat, progress), store)[0]
 
 
 def check_file(path: Path) -> bool:
@@ -182,19 +175,19 @@ def check_file(path: Path) -> bool:
     return True
 
 
-def add_to(add: Adder) -> None:
+def add_to(commands: Commands) -> None:
     """Add these commands to the command line."""
-    add_group = add.group("params", "parameters: get, set, diff, load, save")
-    get = add_group("get", _get, "show parameters")
+    group = commands.add_group("params", "parameters: get, set, diff, load, save")
+    get = group.add("get", _get, "show parameters")
     get.add_argument("names", nargs="*", metavar="NAME", help="names such as MPC_XY_VEL_MAX or 'MPC_*' (default: all)")
-    set_ = add_group("set", _set, "set a parameter")
+    set_ = group.add("set", _set, "set a parameter")
     set_.add_argument("name", metavar="NAME", help="its name")
     set_.add_argument("value", type=_value, metavar="VALUE", help="its value")
-    diff = add_group("diff", _diff, "show differences between vehicles and a file; exit status 1 if there are any")
-    load = add_group("load", _load, "set the parameters of a file; those that the vehicle does not have are listed")
+    diff = group.add("diff", _diff, "show differences between vehicles and a file; exit status 1 if there are any")
+    load = group.add("load", _load, "set the parameters of a file; those that the vehicle does not have are listed")
     load.add_argument("--of-another", action="store_true",
                       help="accept the file of another vehicle, without the parameters that identify it")  # fmt: skip
-    save = add_group("save", _save, "save all parameters of vehicles")
+    save = group.add("save", _save, "save all parameters of vehicles")
     for one in (diff, load):
         one.add_argument("file", type=Path, metavar="FILE", help="file, or folder with NAME.params for each vehicle")
     save.add_argument("file", type=Path, metavar="FILE", help="file, or folder for NAME.params of each vehicle")

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.gcs.command_line.terminal_output import Screen, print_errors, redraws
+from xtdrone_interaction.gcs.exchanges.exchange import request_state
+from xtdrone_interaction.gcs.station import GroundStation
+from xtdrone_interaction.gcs.vehicle_addresses import GcsError
+from xtdrone_interaction.gcs.vehicle_state import VehicleState
 
-from ..exchanges.exchange import request_state
-from ..station import GroundStation
-from ..vehicle_addresses import GcsError
-from ..vehicle_state import VehicleState
-from .arguments import Adder, add_settings, select_vehicles
+from .arguments import Commands, add_settings, select_vehicles
+from .terminal_output import Screen, print_errors, redraws
 
 _REDRAW = 0.25  # s between two updates on a terminal
 _REQUEST_PERIOD = 2.0  # s without telemetry before a state is requested: simulated time may stand still
@@ -50,7 +50,7 @@ class StatusSettings(Settings):
     )
 
 
-def _shown(value: Any, form: str) -> str:
+def _format(value: Any, form: str) -> str:
     return "-" if value is None else form.format(value)
 
 
@@ -64,25 +64,25 @@ def row(state: VehicleState, now: float) -> Row:
     """Return the row of a vehicle; ``now``: s of the monotonic clock."""
     silent = now - state.heard
     if not math.isfinite(silent):
-        return (state.name, _shown(state.system or None, "{}"), *["-"] * 9, "no message yet")
+        return (state.name, _format(state.system or None, "{}"), *["-"] * 9, "no message yet")
     local = state.local
     place = "-" if local is None else " ".join(f"{value:.1f}" for value in local)
     if local is None and state.latitude is not None:
         place = f"{state.latitude:.6f} {state.longitude:.6f}"
-    gps = "-" if state.gps is None else f"{state.gps} {_shown(state.satellites, '{}')}"
+    gps = "-" if state.gps is None else f"{state.gps} {_format(state.satellites, '{}')}"
     text = state.texts[-1][1] if state.texts else ""
     return (
         state.name,
         str(state.system),
-        _shown(state.kind, "{}"),
+        _format(state.kind, "{}"),
         "silent" if silent >= _SILENT else _arming(state),
-        _shown(state.mode, "{}"),
+        _format(state.mode, "{}"),
         place,
-        _shown(state.height, "{:.1f} m"),
-        _shown(state.speed, "{:.1f} m/s"),
-        _shown(state.battery, "{} %"),
+        _format(state.height, "{:.1f} m"),
+        _format(state.speed, "{:.1f} m/s"),
+        _format(state.battery, "{} %"),
         gps,
-        _shown(state.estimator, "{}"),
+        _format(state.estimator, "{}"),
         f"(silent for {silent:.0f} s) {text}".rstrip() if silent >= _SILENT else text,
     )
 
@@ -165,9 +165,9 @@ def _live(station: GroundStation, arguments: argparse.Namespace) -> None:
     raise GcsError("\n".join(map(str, station.errors.values())))
 
 
-def add_to(add: Adder) -> None:
+def add_to(commands: Commands) -> None:
     """Add this command to the command line."""
-    status = add("status", _status, "a live table of the vehicles' states (default: all that answer)")
+    status = commands.add("status", _status, "a live table of the vehicles' states (default: all that answer)")
     status.add_argument("--once", action="store_true", help="print it once, for a simulation that may be paused")
     status.add_argument("--json", action="store_true", help="print a JSON list of vehicles per update")
     add_settings(status, StatusSettings, "period")

@@ -23,20 +23,15 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.pictures.picture_style import save_figure
-from xtdrone_interaction.sweep.fly_one_run import FIGURES
-from xtdrone_interaction.sweep.result_store import METADATA
+from xtdrone_interaction.studies.result_store import FIGURES, METADATA
+from xtdrone_interaction.studies.study_parameters import StudyError
 
 DPI = 150
 _MOST_POOLED = 5  # values listed of a parameter
 _MOST_LINES = 8  # a second parameter with more values makes a colour map
 _MOST_TICKS = 15
 _LOG_RATIO = 1.05  # tolerance for even steps of a logarithmic axis
-_UNITS = {
-    "settling_time": "s", "overshoot": "m", "steady_error": "m", "least_distance": "m", "assigned_distance": "m",
-    "simulated_time": "s", "wall_time": "s",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -60,7 +55,7 @@ def read_results(file: Path) -> Results:
     """Read results.parquet.
 
     Raises:
-        OptionError: the file is missing, is not Parquet, or does not belong to a sweep.
+        StudyError: the file is missing, is not Parquet, or does not belong to a sweep.
     """
     try:
         table = pq.read_table(file)
@@ -68,9 +63,9 @@ def read_results(file: Path) -> Results:
         parameters = tuple(header["study"]["parameters"])
         name = str(header["study"]["name"])
     except OSError as error:
-        raise OptionError(f"results: {file}: {error.strerror or error}") from error
+        raise StudyError(f"results: {file}: {error.strerror or error}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise OptionError(f"results: {file} is not of a sweep: {error!r}") from error
+        raise StudyError(f"results: {file} is not of a sweep: {error!r}") from error
     constants = set(header["study"]["constants"])
     other = {"key", "seed", "error", *parameters, *constants}
     figures = tuple(column for column in table.column_names if column not in other)
@@ -88,7 +83,7 @@ def draw(results: Results, figure: str | None = None, x: str | None = None, by: 
             whose values change the figure's mean the most. The title names the parameters over which means are taken.
 
     Raises:
-        OptionError: an unknown name, or nothing to show.
+        StudyError: an unknown name, or nothing to show.
     """
     figure = _figure_name(results, figure)
     x, by = _parameters(results, figure, x, by)
@@ -97,7 +92,7 @@ def draw(results: Results, figure: str | None = None, x: str | None = None, by: 
     points = _points(results, figure, x, by)
     if not points:
         plt.close(shown)
-        raise OptionError(f"picture: no run has a {figure!r} to show")
+        raise StudyError(f"picture: no run has a {figure!r} to show")
     lines = sorted({second for _, second in points}, key=_order)
     if len(lines) > _MOST_LINES and _numeric({first for first, _ in points}) and _numeric(set(lines)):
         _draw_map(shown, axes, points, x, str(by), figure)
@@ -115,13 +110,13 @@ def save_picture(
     """Draw the picture of a results file into a PNG, SVG or PDF file.
 
     Raises:
-        OptionError: see :func:`read_results` and :func:`draw`; unknown suffix.
+        StudyError: see :func:`read_results` and :func:`draw`; unknown suffix.
     """
     shown = draw(read_results(file), figure, x, by)
     try:
         save_figure(shown, path, dpi=DPI)
     except ValueError as error:
-        raise OptionError(f"picture: {path}: {error}") from error
+        raise StudyError(f"picture: {path}: {error}") from error
 
 
 def _figure_name(results: Results, wanted: str | None) -> str:
@@ -129,9 +124,9 @@ def _figure_name(results: Results, wanted: str | None) -> str:
         for name in ("settling_time", *results.figures):
             if any(value is not None for value in results.columns.get(name, ())):
                 return name
-        raise OptionError("picture: no run has any figure; see the column 'error' of the results")
+        raise StudyError("picture: no run has any figure; see the column 'error' of the results")
     if wanted not in results.figures:
-        raise OptionError(f"metric: {wanted!r} is unknown; there are: {', '.join(results.figures)}")
+        raise StudyError(f"metric: {wanted!r} is unknown; there are: {', '.join(results.figures)}")
     return wanted
 
 
@@ -140,7 +135,7 @@ def _parameters(results: Results, figure: str, x: str | None, by: str | None) ->
     for thing, name in (("x", x), ("by", by)):
         if name is not None and name not in (*results.parameters, "seed"):
             there = ", ".join((*results.parameters, "seed"))
-            raise OptionError(f"{thing}: {name!r} is not varied in this study; there are: {there}")
+            raise StudyError(f"{thing}: {name!r} is not varied in this study; there are: {there}")
     values = {name: set(results.columns[name]) - {None} for name in results.parameters}
     free = [name for name in results.parameters if name not in (x, by) and len(values[name]) > 1]
     free.sort(key=lambda name: (not _numeric(values[name]), -len(values[name])))  # stable: ties keep the study's order
@@ -264,7 +259,7 @@ def _title(results: Results, figure: str, runs: int, failed: int, empty: int) ->
 
 
 def _label(figure: str) -> str:
-    unit = _UNITS.get(figure)
+    _, unit = FIGURES.get(figure, (float, ""))
     words = figure.replace("_", " ") if figure in FIGURES else figure
     return f"{words} ({unit})" if unit else words
 

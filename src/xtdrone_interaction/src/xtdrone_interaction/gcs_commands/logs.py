@@ -6,18 +6,16 @@ import argparse
 import os
 import time
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from xtdrone_interaction.gcs.command_line.terminal_output import Display, print_errors
+from xtdrone_interaction.gcs.exchanges import logs
+from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat, Progress, RefusalError
+from xtdrone_interaction.gcs.exchanges.logs import Log
+from xtdrone_interaction.gcs.vehicle_addresses import GcsError, Peer
 
-from ..exchanges import logs
-from ..exchanges.exchange import Exchange, Heartbeat, Progress, RefusalError
-from ..exchanges.logs import Log
-from ..station import progress_of
-from ..vehicle_addresses import GcsError
-from .arguments import Adder, UsageError, run, select_vehicles
+from .arguments import Commands, UsageError, run, run_shown, select_vehicles
+from .terminal_output import print_errors
 
 _PART = ".part"
 
@@ -69,7 +67,7 @@ def download(heartbeat: Heartbeat, words: Sequence[str], folder: Path, progress:
     found = yield from logs.fetch_list(heartbeat)
     paths = []
     for log in _select(found, words):
-        path = folder / f"{log.name}{logs.suffix_of(heartbeat)}"
+        path = folder / f"{log.name}.ulg"
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if not path.exists() or path.stat().st_size != log.size:
@@ -100,26 +98,21 @@ def _download(arguments: argparse.Namespace) -> int:
     wrong = [word for word in arguments.logs if word != "all" and not word.isdecimal()]
     if wrong:
         raise UsageError(f"logs: {wrong[0]!r} is not allowed, numbers or all")
-    peers = select_vehicles(arguments)
-    display = Display([peer.name for peer in peers])
-    jobs = {
-        peer: partial(
-            download,
-            words=arguments.logs,
-            folder=arguments.to / peer.name,
-            progress=progress_of(peer.name, display.watch),
-        )
-        for peer in peers
-    }
-    results = run(jobs, arguments, logs.end_transfer)
-    return display.results(peers, results, lambda _, paths: ", ".join(map(str, paths)) or "it has no logs")
+
+    def fetch(peer: Peer, progress: Progress, heartbeat: Heartbeat) -> Exchange[list[Path]]:
+        return download(heartbeat, arguments.logs, arguments.to / peer.name, progress)
+
+    def describe(_name: str, paths: list[Path]) -> str:
+        return ", ".join(map(str, paths)) or "it has no logs"
+
+    return run_shown(arguments, select_vehicles(arguments), fetch, describe, logs.end_transfer)[0]
 
 
-def add_to(add: Adder) -> None:
+def add_to(commands: Commands) -> None:
     """Add these commands to the command line."""
-    group = add.group("logs", "flight logs: list, download")
-    group("list", _list, "list the vehicles' logs")
-    command = group("download", _download, "download logs into FOLDER/VEHICLE/, continuing interrupted downloads")
+    group = commands.add_group("logs", "flight logs: list, download")
+    group.add("list", _list, "list the vehicles' logs")
+    command = group.add("download", _download, "download logs into FOLDER/VEHICLE/, continuing interrupted downloads")
     command.add_argument("logs", nargs="*", metavar="LOG", help="numbers, or all (default: the newest)")
     command.add_argument("--to", type=Path, default=Path(), metavar="FOLDER",
                           help="folder to write to (default: here)")  # fmt: skip

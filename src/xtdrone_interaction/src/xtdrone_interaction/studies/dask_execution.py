@@ -1,6 +1,6 @@
 """Execution on Dask: batches of flights on worker processes of this machine or of a cluster, in a bounded window.
 
-A flight that raises becomes a row with its error (``fly_one_run.fly_row``), so the only failure that Dask reports is a
+A flight that raises becomes a row with its error, so the only failure that Dask reports is a
 lost worker; Dask then repeats the batch on another one. If several workers die under a batch, its runs are repeated one
 at a time, and a run that still kills its workers becomes a row with that error.
 """
@@ -21,7 +21,7 @@ import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.comm import get_address_host
 
-from xtdrone_interaction.sweep.fly_one_run import Row, Work
+from xtdrone_interaction.studies.result_store import Row
 
 CONNECT_LIMIT = 5.0  # s for a scheduler to answer
 BATCH_TIME = 0.5  # s of work per batch, so that Dask's overhead of milliseconds per batch does not matter
@@ -36,6 +36,9 @@ _SMOOTHING = 0.2
 _LOGGERS = ("distributed", "tornado.application", "asyncio")
 
 Task = Mapping[str, Any]
+"""Key, varied parameters and seed of a run."""
+Work = Callable[[Mapping[str, Any], Sequence[Task]], list[Row]]
+"""Flies a batch: data that all runs share, and tasks; returns their rows in the same order."""
 
 
 class SweepError(RuntimeError):

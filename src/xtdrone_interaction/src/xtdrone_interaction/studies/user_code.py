@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_interaction.command_options import OptionError
+from xtdrone_interaction.studies.study_parameters import StudyError
 
 MODULE = "xtdrone_study_"
 """Prefix of the modules created from users' files."""
@@ -49,25 +49,25 @@ def read_source(role: str, text: object, folder: Path) -> Source:
         folder: of the study, the base of relative paths.
 
     Raises:
-        OptionError: invalid form, or the file cannot be read.
+        StudyError: invalid form, or the file cannot be read.
     """
     file, colon, name = text.rpartition(":") if isinstance(text, str) else ("", "", "")
     if not colon or not file.endswith(".py") or not name.isidentifier():
-        raise OptionError(f"{role}: {text!r} is not allowed; FILE.py:NAME")
+        raise StudyError(f"{role}: {text!r} is not allowed; FILE.py:NAME")
     path = (folder / Path(file).expanduser()).resolve()
     try:
         return Source(str(path), name, path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise OptionError(f"{role}: {path}: {error.strerror or error}") from error
+        raise StudyError(f"{role}: {path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        raise OptionError(f"{role}: {path} is not a text in UTF-8") from error
+        raise StudyError(f"{role}: {path} is not a text in UTF-8") from error
 
 
 def load(role: str, source: Source) -> Any:
     """Return the object of a source, executing its file once per process.
 
     Raises:
-        OptionError: the file cannot be executed, or does not define the name.
+        StudyError: the file cannot be executed, or does not define the name.
     """
     module_name = MODULE + source.digest
     module = sys.modules.get(module_name)
@@ -76,7 +76,7 @@ def load(role: str, source: Source) -> Any:
     try:
         return getattr(module, source.name)
     except AttributeError:
-        raise OptionError(f"{role}: {source.path} has no {source.name!r}") from None
+        raise StudyError(f"{role}: {source.path} has no {source.name!r}") from None
 
 
 def _execute(role: str, source: Source, module_name: str) -> types.ModuleType:
@@ -92,7 +92,7 @@ def _execute(role: str, source: Source, module_name: str) -> types.ModuleType:
         exec(compile(source.text, source.path, "exec"), module.__dict__)
     except (Exception, SystemExit) as error:  # the user's file may raise anything
         del sys.modules[module_name]
-        raise OptionError(f"{role}: {source.path} cannot be loaded: {type(error).__name__}: {error}") from error
+        raise StudyError(f"{role}: {source.path} cannot be loaded: {type(error).__name__}: {error}") from error
     return module
 
 

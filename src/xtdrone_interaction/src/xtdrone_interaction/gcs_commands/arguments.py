@@ -1,20 +1,32 @@
-"""Options that all commands of ``xtdrone gcs`` share: the selection of vehicles and their addresses."""
+"""What all commands of ``xtdrone gcs`` share: the selection of vehicles, and exchanges with them, shown."""
 
 from __future__ import annotations
 
 import argparse
 from argparse import _ArgumentGroup
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
 from xtdrone_control.fleet import MAX_INSTANCE, FleetError, parse_fleet
 from xtdrone_control.settings import Settings, setting
+from xtdrone_interaction.gcs import search_for_vehicles, station
 from xtdrone_interaction.gcs.exchange_queue import AbortMessages, Job
+from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat, Progress
+from xtdrone_interaction.gcs.station import no_abort_messages
+from xtdrone_interaction.gcs.vehicle_addresses import (
+    LOOPBACK,
+    GcsError,
+    Peer,
+    choose_systems,
+    numbered,
+    numbers_of,
+    parse_address,
+)
+from xtdrone_interaction.simulation_services import running_fleet
 
-from .. import search_for_vehicles, station
-from ..station import no_abort_messages
-from ..vehicle_addresses import LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
+from .terminal_output import Display
 
 T = TypeVar("T")
 Runner = Callable[[argparse.Namespace], int]
@@ -36,14 +48,24 @@ class UsageError(ValueError):
     """The command line has an invalid argument."""
 
 
-class Adder(Protocol):
-    """Adds a command to the command line; ``for_vehicles``: with the options that select vehicles."""
+class Commands:
+    """Sub-commands of a parser."""
 
-    def __call__(self, name: str, run: Runner, text: str, for_vehicles: bool = True) -> argparse.ArgumentParser:
-        """Add a command and return its parser."""
+    def __init__(self, parser: argparse.ArgumentParser, vehicles: argparse.ArgumentParser) -> None:
+        """Add them to ``parser``; ``vehicles``: parent parser with the options that select vehicles."""
+        self._commands = parser.add_subparsers(required=True, metavar="COMMAND")
+        self._vehicles = vehicles
 
-    def group(self, name: str, text: str) -> Adder:
-        """Add a group and return the adder of its commands."""
+    def add(self, name: str, run: Runner, text: str, for_vehicles: bool = True) -> argparse.ArgumentParser:
+        """Add a command and return its parser; ``for_vehicles``: with the options that select vehicles."""
+        parents = [self._vehicles] if for_vehicles else []
+        command = self._commands.add_parser(name, parents=parents, help=text, description=text)
+        command.set_defaults(run=run)
+        return command
+
+    def add_group(self, name: str, text: str) -> Commands:
+        """Add a group of commands and return it."""
+        return Commands(self._commands.add_parser(name, help=text, description=text), self._vehicles)
 
 
 def add_settings(parser: _ArgumentGroup | argparse.ArgumentParser, settings: type[Settings], *names: str) -> None:
@@ -53,7 +75,7 @@ def add_settings(parser: _ArgumentGroup | argparse.ArgumentParser, settings: typ
         action.default = getattr(defaults, name)
 
 
-def common() -> argparse.ArgumentParser:
+def make_vehicle_options() -> argparse.ArgumentParser:
     """Return a parser with the options that select vehicles."""
     parser = argparse.ArgumentParser(add_help=False)
     group = parser.add_argument_group("vehicles")
@@ -100,7 +122,7 @@ def select_vehicles(arguments: argparse.Namespace, *, or_all: bool = False) -> l
     if arguments.connect:
         return _connected(words or ["all"], arguments)
     if not arguments.fleet and arguments.host == LOOPBACK:
-        arguments.fleet = search_for_vehicles.running_fleet(arguments.instance)
+        arguments.fleet = running_fleet(arguments.instance)
     found: dict[tuple[str, str, int], Peer] = {}
     try:
         for word in words or ["all"]:
@@ -167,3 +189,28 @@ def run(
 ) -> dict[str, T | GcsError]:
     """Run exchanges with the patience of the command line; see ``station.run``."""
     return station.run(jobs, patience=arguments.patience, on_abort=on_abort)
+
+
+def run_shown(
+    arguments: argparse.Namespace,
+    peers: Sequence[Peer],
+    exchange: Callable[[Peer, Progress, Heartbeat], Exchange[Any]],
+    finish: Callable[[str, Any], str],
+    on_abort: AbortMessages = no_abort_messages,
+) -> tuple[int, dict[str, Any]]:
+    """Run an exchange with each vehicle at once, show the progress and print the results.
+
+    Args:
+        arguments: Arguments of the command line.
+        peers: Vehicles.
+        exchange: Returns the exchange with a vehicle.
+        finish: Returns the line of a vehicle from its name and its result, which it may store; raises GcsError.
+        on_abort: Returns the messages that end an aborted exchange.
+
+    Returns:
+        Exit status, and result or error by name of the vehicle.
+    """
+    display = Display([peer.name for peer in peers])
+    jobs = {peer: partial(exchange, peer, partial(display.watch, peer.name)) for peer in peers}
+    results: dict[str, Any] = run(jobs, arguments, on_abort)
+    return display.results(peers, results, finish), results

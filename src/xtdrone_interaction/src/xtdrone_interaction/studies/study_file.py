@@ -26,12 +26,12 @@ from typing import Any
 import numpy as np
 
 from xtdrone_control.files import BoundedLoader, ContentError, load_yaml, read_text
+from xtdrone_control.settings import SettingError, check_choice
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction.command_options import OptionError
-from xtdrone_interaction.sweep.study import study_parameters, user_code
-from xtdrone_interaction.sweep.study.study_parameters import Parameter, Value
-from xtdrone_interaction.sweep.study.user_code import Source
+from xtdrone_interaction.studies import study_parameters, user_code
+from xtdrone_interaction.studies.study_parameters import Parameter, StudyError, Value
+from xtdrone_interaction.studies.user_code import Source
 
 ENGINES = ("simplified", "core")
 AIRBORNE, MISSION = "airborne", "mission"
@@ -155,18 +155,18 @@ def read_study(file: str | Path) -> Study:
     """Read and check a study.
 
     Raises:
-        OptionError: unreadable file or invalid study; the message names the file.
+        StudyError: unreadable file or invalid study; the message names the file.
     """
     path = Path(file)
     try:
         text = read_text(path)
         return make_study(load_yaml(text, _Loader), path.resolve().parent)
     except OSError as error:
-        raise OptionError(f"study: {path}: {error.strerror or error}") from error
+        raise StudyError(f"study: {path}: {error.strerror or error}") from error
     except ContentError as error:
-        raise OptionError(f"study: {path} is not YAML: {error}") from error
-    except OptionError as error:
-        raise OptionError(f"study {path}: {error}") from error
+        raise StudyError(f"study: {path} is not YAML: {error}") from error
+    except (StudyError, SettingError) as error:
+        raise StudyError(f"study {path}: {error}") from error
 
 
 class _Checks:
@@ -183,14 +183,14 @@ class _Checks:
         """Return the result of a check; None, and its error kept, if it fails."""
         try:
             return make()
-        except OptionError as error:
+        except (StudyError, SettingError) as error:
             self.add(str(error))
             return None
 
     def end(self) -> None:
-        """Raise an OptionError with all errors, if there are any."""
+        """Raise an StudyError with all errors, if there are any."""
         if self._errors:
-            raise OptionError("; ".join(self._errors))
+            raise StudyError("; ".join(self._errors))
 
 
 def make_study(data: object, folder: Path) -> Study:
@@ -201,38 +201,38 @@ def make_study(data: object, folder: Path) -> Study:
         folder: base of relative paths.
 
     Raises:
-        OptionError: invalid study.
+        StudyError: invalid study.
     """
     if data is None:
-        raise OptionError(f"it is empty; a mapping with {', '.join(_KEYS)}")
+        raise StudyError(f"it is empty; a mapping with {', '.join(_KEYS)}")
     if not isinstance(data, Mapping):
-        raise OptionError(f"{str(data)[:60]} is not a study; a mapping with {', '.join(_KEYS)}")
+        raise StudyError(f"{str(data)[:60]} is not a study; a mapping with {', '.join(_KEYS)}")
     check = _Checks()
     for key in (key for key in data if key not in _KEYS):
         check.add(f"{key!r} is unknown; there are: {', '.join(_KEYS)}")
-    found, attributes = _sources(data, folder)
+    found, attributes = _read_sources(data, folder)
     known = study_parameters.known_parameters(attributes)
-    name = check(lambda: _name(data.get("name")))
-    combine = check(lambda: _choice("combine", data.get("combine", "grid"), COMBINATIONS)) or "grid"
-    engine = check(lambda: _choice("engine", data.get("engine", "simplified"), ENGINES))
+    name = check(lambda: _check_name(data.get("name")))
+    combine = check(lambda: check_choice("combine", data.get("combine", "grid"), COMBINATIONS)) or "grid"
+    engine = check(lambda: check_choice("engine", data.get("engine", "simplified"), ENGINES))
     usual = MISSION if engine == "core" else AIRBORNE
-    flight = check(lambda: _choice("flight", data.get("flight", usual), FLIGHTS))
-    seeds = check(lambda: _seeds(data.get("seeds", 1)))
-    sample_seed = check(lambda: _whole("sample_seed", data.get("sample_seed", 0), 0, _MOST_SEED))
-    varied = check(lambda: _mapping("parameters", data.get("parameters"))) or {}
-    constants = check(lambda: _mapping("constants", data.get("constants"))) or {}
+    flight = check(lambda: check_choice("flight", data.get("flight", usual), FLIGHTS))
+    seeds = check(lambda: _read_seeds(data.get("seeds", 1)))
+    sample_seed = check(lambda: _check_whole("sample_seed", data.get("sample_seed", 0), 0, _MOST_SEED))
+    varied = check(lambda: _check_mapping("parameters", data.get("parameters"))) or {}
+    constants = check(lambda: _check_mapping("constants", data.get("constants"))) or {}
     for key in (*varied, *constants):
         check(partial(study_parameters.find_parameter, key, known))
     check.end()
-    axes = _axes(varied, known, combine)
+    axes = _read_axes(varied, known, combine)
     study = Study(
         name=name,
         engine=engine,
         flight=flight,
-        constants=_constants(constants, known, axes),
+        constants=_read_constants(constants, known, axes),
         axes=axes,
         combine=combine,
-        samples=_samples(data, combine, axes),
+        samples=_read_samples(data, combine, axes),
         sample_seed=sample_seed,
         seeds=seeds,
         sources=found,
@@ -241,7 +241,7 @@ def make_study(data: object, folder: Path) -> Study:
     _check_fit(study)
     if study.runs > MOST_RUNS:
         sizes = " x ".join(str(len(axis.values)) for axis in axes) if combine == "grid" else str(study.points)
-        raise OptionError(
+        raise StudyError(
             f"the study has {study.runs:,} runs ({sizes} points x {len(study.seeds)} seeds); {MOST_RUNS:,} at most"
         )
     return study
@@ -251,88 +251,82 @@ def _check_fit(study: Study) -> None:
     """Reject parameters without any effect in this engine or flight."""
     used = [*study.constants, *(axis.parameter.name for axis in study.axes)]
     if study.engine == "core" and study.flight != MISSION:
-        raise OptionError(
+        raise StudyError(
             f"flight: {study.flight!r} is not allowed with engine core, which begins on the ground; mission"
         )
     for name in used:
         if study.flight == MISSION and name in _OF_AIRBORNE:
-            raise OptionError(f"{name!r} has no effect in flight mission; leave it out, or use flight: airborne")
+            raise StudyError(f"{name!r} has no effect in flight mission; leave it out, or use flight: airborne")
         if study.engine == "core" and name.startswith("model."):
-            raise OptionError(f"{name!r} has no effect in engine core, which is full physics; use engine: simplified")
+            raise StudyError(f"{name!r} has no effect in engine core, which is full physics; use engine: simplified")
 
 
-def _sources(data: Mapping[str, Any], folder: Path) -> tuple[dict[str, Source], dict[str, Any]]:
+def _read_sources(data: Mapping[str, Any], folder: Path) -> tuple[dict[str, Source], dict[str, Any]]:
     """Return the user's Python by role, and the settable attributes of the follower's class."""
     found = {role: user_code.read_source(role, data[role], folder) for role in _ROLES if role in data}
     attributes: dict[str, Any] = {}
     for role, source in found.items():
         loaded, base = user_code.load(role, source), _ROLES[role]
         if base is None and not callable(loaded):
-            raise OptionError(f"{role}: {source.name!r} in {source.path} is not a function")
+            raise StudyError(f"{role}: {source.name!r} in {source.path} is not a function")
         if base is not None and not (isinstance(loaded, type) and issubclass(loaded, base)):
-            raise OptionError(f"{role}: {source.name!r} in {source.path} is not a subclass of {base.__name__}")
+            raise StudyError(f"{role}: {source.name!r} in {source.path} is not a subclass of {base.__name__}")
         if role == "follower":
             attributes = dict(user_code.class_attributes(loaded))
     return found, attributes
 
 
-def _name(value: object) -> str:
+def _check_name(value: object) -> str:
     allowed = isinstance(value, str) and 0 < len(value) <= 64 and value.replace("-", "").replace("_", "").isalnum()
     if not allowed or not isinstance(value, str) or value.startswith("-"):
-        raise OptionError(f"name: {value!r} is not allowed; up to 64 letters, digits, - and _")
+        raise SettingError("name", value, "up to 64 letters, digits, - and _")
     return value
 
 
-def _choice(key: str, value: object, allowed: Sequence[str]) -> str:
-    if not isinstance(value, str) or value not in allowed:
-        raise OptionError(f"{key}: {value!r} is not allowed; one of {', '.join(allowed)}")
-    return value
-
-
-def _mapping(key: str, value: object) -> Mapping[Any, Any]:
+def _check_mapping(key: str, value: object) -> Mapping[Any, Any]:
     if value is None:
         return {}
     if not isinstance(value, Mapping):
-        raise OptionError(f"{key}: {value!r} is not allowed; a mapping of parameters' names")
+        raise SettingError(key, value, "a mapping of parameters' names")
     return value
 
 
-def _whole(key: str, value: object, least: int, most: int) -> int:
+def _check_whole(key: str, value: object, least: int, most: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise OptionError(f"{key}: {value!r} is not allowed; a whole number from {least} to {most}")
+        raise SettingError(key, value, f"a whole number from {least} to {most}")
     return value
 
 
-def _samples(data: Mapping[str, Any], combine: str, axes: Sequence[Axis]) -> int:
+def _read_samples(data: Mapping[str, Any], combine: str, axes: Sequence[Axis]) -> int:
     if combine not in ("random", "latin"):
         for key in ("samples", "sample_seed"):
             if key in data:
-                raise OptionError(f"{key}: needs combine: random or latin, not {combine}")
+                raise StudyError(f"{key}: needs combine: random or latin, not {combine}")
         return 0
     if not axes:
-        raise OptionError(f"combine: {combine} needs parameters to draw, there are none")
-    return _whole("samples", data.get("samples"), 1, MOST_RUNS)
+        raise StudyError(f"combine: {combine} needs parameters to draw, there are none")
+    return _check_whole("samples", data.get("samples"), 1, MOST_RUNS)
 
 
-def _seeds(value: object) -> tuple[int, ...]:
+def _read_seeds(value: object) -> tuple[int, ...]:
     if isinstance(value, list):
         if not value:
-            raise OptionError("seeds: the list is empty; at least one seed")
-        seeds = tuple(_whole("seeds", seed, 0, _MOST_SEED) for seed in value)
+            raise StudyError("seeds: the list is empty; at least one seed")
+        seeds = tuple(_check_whole("seeds", seed, 0, _MOST_SEED) for seed in value)
         _check_unique("seeds", seeds)
         return seeds
-    return tuple(range(_whole("seeds", value, 1, MOST_RUNS)))
+    return tuple(range(_check_whole("seeds", value, 1, MOST_RUNS)))
 
 
 def _check_unique(name: str, values: Sequence[Value]) -> None:
     seen: set[Value] = set()
     for value in values:
         if value in seen:
-            raise OptionError(f"{name}: {value!r} is given twice")
+            raise StudyError(f"{name}: {value!r} is given twice")
         seen.add(value)
 
 
-def _constants(
+def _read_constants(
     data: Mapping[Any, Any], known: Mapping[str, Parameter], axes: Sequence[Axis]
 ) -> dict[str, Value]:  # fmt: skip
     varied = {axis.parameter.name for axis in axes}
@@ -340,62 +334,62 @@ def _constants(
     for name, value in data.items():
         parameter = study_parameters.find_parameter(name, known)
         if parameter.name in found:
-            raise OptionError(f"constants: {parameter.name!r} is given twice, once by another name")
+            raise StudyError(f"constants: {parameter.name!r} is given twice, once by another name")
         if parameter.name in varied:
-            raise OptionError(f"{parameter.name!r} is both a constant and a varied parameter")
+            raise StudyError(f"{parameter.name!r} is both a constant and a varied parameter")
         found[parameter.name] = parameter.check(value)
     return found
 
 
-def _axes(data: Mapping[Any, Any], known: Mapping[str, Parameter], combine: str) -> tuple[Axis, ...]:
-    axes = tuple(_axis(study_parameters.find_parameter(name, known), spec, combine) for name, spec in data.items())
+def _read_axes(data: Mapping[Any, Any], known: Mapping[str, Parameter], combine: str) -> tuple[Axis, ...]:
+    axes = tuple(_read_axis(study_parameters.find_parameter(name, known), spec, combine) for name, spec in data.items())
     _check_unique("parameters", [axis.parameter.name for axis in axes])
     if combine == "zip":
         sizes = {axis.parameter.name: len(axis.values) for axis in axes}
         if len(set(sizes.values())) > 1:
             text = ", ".join(f"{name} {size}" for name, size in sizes.items())
-            raise OptionError(f"combine: zip needs parameters of equal length, they have: {text}")
+            raise StudyError(f"combine: zip needs parameters of equal length, they have: {text}")
     return axes
 
 
-def _axis(parameter: Parameter, spec: object, combine: str) -> Axis:
+def _read_axis(parameter: Parameter, spec: object, combine: str) -> Axis:
     if isinstance(spec, Mapping):
-        return _range(parameter, spec, combine)
+        return _read_range(parameter, spec, combine)
     if not isinstance(spec, list):
-        raise OptionError(
+        raise StudyError(
             f"{parameter.name}: {spec!r} is not allowed; a list, or {{from, to, steps}} (one value goes to constants)"
         )
     if not spec:
-        raise OptionError(f"{parameter.name}: the list of values is empty")
+        raise StudyError(f"{parameter.name}: the list of values is empty")
     values = tuple(parameter.check(value) for value in spec)
     if combine != "zip":  # zip has no duplicates unless whole points are equal
         _check_unique(parameter.name, values)
     return Axis(parameter, values)
 
 
-def _range(parameter: Parameter, spec: Mapping[Any, Any], combine: str) -> Axis:
+def _read_range(parameter: Parameter, spec: Mapping[Any, Any], combine: str) -> Axis:
     sampled, name = combine in ("random", "latin"), parameter.name
     allowed = ("from", "to", "log") if sampled else ("from", "to", "steps", "log")
     for key in spec:
         if key not in allowed:
             why = f" with combine: {combine}" if key == "steps" else ""
-            raise OptionError(f"{name}: {key!r} is unknown in a range{why}; there are: {', '.join(allowed)}")
+            raise StudyError(f"{name}: {key!r} is unknown in a range{why}; there are: {', '.join(allowed)}")
     for key in allowed[:-1]:
         if key not in spec:
-            raise OptionError(f"{name}: the range has no {key!r}")
+            raise StudyError(f"{name}: the range has no {key!r}")
     if parameter.kind not in (int, float):
-        raise OptionError(f"{name}: a range is for numbers only, not for {parameter.kind.__name__}")
+        raise StudyError(f"{name}: a range is for numbers only, not for {parameter.kind.__name__}")
     log = spec.get("log", False)
     if not isinstance(log, bool):
-        raise OptionError(f"{name}: log: {log!r} is not allowed; true or false")
+        raise StudyError(f"{name}: log: {log!r} is not allowed; true or false")
     start, end = float(parameter.check(spec["from"])), float(parameter.check(spec["to"]))
     if math.isinf(start) or math.isinf(end) or start == end:
-        raise OptionError(f"{name}: the range from {start:g} to {end:g} is not allowed; two different, finite numbers")
+        raise StudyError(f"{name}: the range from {start:g} to {end:g} is not allowed; two different, finite numbers")
     if log and min(start, end) <= 0.0:
-        raise OptionError(f"{name}: a logarithmic range from {start:g} to {end:g}; both must be above 0")
+        raise StudyError(f"{name}: a logarithmic range from {start:g} to {end:g}; both must be above 0")
     if sampled:
         return Axis(parameter, (parameter.check(start), parameter.check(end)), log, sampled=True)
-    steps = _whole(f"{name}: steps", spec["steps"], 2, MOST_RUNS)
+    steps = _check_whole(f"{name}: steps", spec["steps"], 2, MOST_RUNS)
     numbers = np.geomspace(start, end, steps) if log else np.linspace(start, end, steps)
     # Twelve digits: 0.3 on every machine rather than 0.30000000000000004.
     values = tuple(parameter.check(float(f"{number:.12g}")) for number in numbers)

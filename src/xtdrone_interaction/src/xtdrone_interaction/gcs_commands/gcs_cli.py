@@ -11,35 +11,25 @@ import sys
 from collections.abc import Sequence
 
 from xtdrone_interaction import cli
+from xtdrone_interaction.gcs.vehicle_addresses import GcsError
 
-from ..vehicle_addresses import GcsError
-from . import flight, logs, parameters, plan_lists, plans, status_table
-from .arguments import Runner, UsageError, common
-
-
-class _Commands:
-    """The sub-commands of a parser; see ``Adder``."""
-
-    def __init__(self, parser: argparse.ArgumentParser, vehicles: argparse.ArgumentParser) -> None:
-        self._commands = parser.add_subparsers(required=True, metavar="COMMAND")
-        self._vehicles = vehicles
-
-    def __call__(self, name: str, run: Runner, text: str, for_vehicles: bool = True) -> argparse.ArgumentParser:
-        parents = [self._vehicles] if for_vehicles else []
-        command = self._commands.add_parser(name, parents=parents, help=text, description=text)
-        command.set_defaults(run=run)
-        return command
-
-    def group(self, name: str, text: str) -> _Commands:
-        return _Commands(self._commands.add_parser(name, help=text, description=text), self._vehicles)
+from . import flight, logs, parameters, plans, status_table
+from .arguments import Commands, UsageError, make_vehicle_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the commands."""
     parser.description = "A ground station, over MAVLink."
-    commands = _Commands(parser, common())
-    for module in (status_table, flight, plans, plan_lists, parameters, logs):
-        module.add_to(commands)
+    commands = Commands(parser, make_vehicle_options())
+    for add_to in (
+        status_table.add_to,
+        flight.add_to,
+        plans.add_to,
+        plans.add_lists_to,
+        parameters.add_to,
+        logs.add_to,
+    ):
+        add_to(commands)
 
 
 def main(argv: Sequence[str]) -> int:

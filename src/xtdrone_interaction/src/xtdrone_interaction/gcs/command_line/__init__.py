@@ -1,1 +1,0 @@
-"""The command line of the ground station, ``./xtdrone gcs``: a module per group of commands."""
