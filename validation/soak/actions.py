@@ -10,30 +10,32 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from validation.soak.resource_samples import figures
+from validation.soak.limits import process_figures
 from validation.soak.simulation_under_test import Node, Nodes, Stack
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, PlanItem
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.geodesy import projection
 from xtdrone_control.plans.qgc_plan import FRAME_RELATIVE, Plan
+from xtdrone_interaction.bags.bag_kinds import large_batches
+from xtdrone_interaction.bags.ros1bag import BagError, BagFile
 from xtdrone_interaction.gcs import GcsError, GroundStation, Peer
 from xtdrone_interaction.gcs.exchanges import commands_and_refusals, parameters
 from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat
 from xtdrone_interaction.gcs.exchanges.plans import cancel_transfers, upload_plan
+from xtdrone_interaction.recording.flight_from_ulog import LogError, read_log
 
 _HOME = (47.397742, 8.545594)  # degrees, of the map's origin, PX4's default in simulation
 _PATIENCE = 300.0  # s of wall time without a response from a vehicle, on a busy machine
 _CONNECT_LIMIT = 600.0  # s of wall time until a node subscribes to its commands
 _LISTEN_LIMIT = 60.0  # s of wall time for a subscriber of a topic; the script may have killed it
 _CLIENT_STATUSES = (0, 1)  # exit statuses of a ground station: done, and rejected by a vehicle
-_SLICE = 0.02  # s of wall time
 _SECOND = 1_000_000  # us
 _CLIENTS = {"params": ("params", "save"), "logs": ("logs", "download", "all"), "status": ("status",)}
 
@@ -190,8 +192,7 @@ class Actions:
         timer = threading.Timer(wall, self._nodes.signal, (node, signal.SIGCONT))
         timer.start()
         try:
-            with self._stack.untimed():
-                self._stack.advance(self._stack.soak_us + _SECOND)
+            self._stack.advance(self._stack.soak_us + _SECOND)
         finally:
             timer.cancel()
             self._nodes.signal(node, signal.SIGCONT)
@@ -201,12 +202,6 @@ class Actions:
         bag = self.bags / f"{node}.bag"
         command = ["rosrun", "rosbag", "record", "--lz4", "-O", str(bag), *topics, f"__name:={node}"]
         self._nodes.await_subscribed(self._nodes.start("record", node, command))
-
-    def echo(self, node: str, topic: str) -> None:
-        """Subscribe to a topic with ``rostopic echo``."""
-        command = ["rostopic", "echo", "--noarr", topic, f"__name:={node}"]
-        started = self._nodes.start("echo", node, command)
-        self._nodes.await_subscribed(started)
 
     def client(self, node: str, what: str, vehicle: int) -> None:
         """Start a ground station's command."""
@@ -280,10 +275,9 @@ class Actions:
 
     def pause(self, wall: float) -> None:
         """Resume and pause the simulation, for ``wall`` s of wall time."""
-        with self._stack.untimed():
-            self._stack.trigger("resume")
-            self._stack.trigger("pause")
-            self._stack.note_time()
+        self._stack.trigger("resume")
+        self._stack.trigger("pause")
+        self._stack.note_time()
         time.sleep(wall)
 
     def pause_in_step(self, wall: float) -> None:
@@ -299,21 +293,6 @@ class Actions:
     def speed(self, factor: float) -> None:
         """Set the speed; 0: that of the command line."""
         self._stack.set_speed(factor or self._speed)
-        self._stack.timed = factor in (0.0, self._speed)
-
-    def free(self, seconds: float, factor: float) -> None:
-        """Run at a speed for ``seconds`` of simulated time, without steps."""
-        goal = self._stack.soak_us + round(seconds * _SECOND)
-        with self._stack.untimed():
-            self._stack.set_speed(factor)
-            self._stack.trigger("resume")
-            while self._stack.soak_us < goal:
-                self._stack.check()
-                time.sleep(_SLICE)
-                self._stack.note_time()
-            self._stack.trigger("pause")
-            self._stack.note_time()
-            self._stack.set_speed(self._speed)
 
 
 def _armed(heartbeat: Heartbeat) -> bool:
@@ -323,7 +302,7 @@ def _armed(heartbeat: Heartbeat) -> bool:
 def _speaks(node: Node) -> bool:
     """Return whether a ground station's process has opened its socket, besides its wake-up pair."""
     try:
-        return figures(node.process.pid)["sockets"] > 2
+        return process_figures(node.process.pid)["sockets"] > 2
     except OSError:
         return False
 
@@ -349,10 +328,30 @@ def mission(content: dict[str, Any]) -> Plan:
     return Plan(tuple(items), home=(*_HOME, 0.0))
 
 
-def bag_of(bags: Path, node: Node) -> Path | None:
-    """Return the bag of a recorder, None without one."""
-    for suffix in (".bag", ".bag.active"):
-        path = bags / f"{node.name}{suffix}"
-        if path.exists():
-            return path
-    return None
+def read_files(files: Iterable[Path]) -> tuple[int, list[str]]:
+    """Read flight logs and bags to their end and remove them.
+
+    Args:
+        files: Files that no process writes any more; bags of killed recorders end in ``.active`` and may be cut short.
+
+    Returns:
+        Number of messages read, and a sentence for each file that is damaged; these files are kept.
+    """
+    messages, damaged = 0, []
+    for path in files:
+        try:
+            if path.suffix == ".ulg":
+                log = read_log(path, ())
+                messages += sum(log.counts.values())
+                notes = log.notes
+            else:
+                bag = BagFile(path)
+                messages += sum(len(batch.time) for batch in large_batches(bag))
+                notes = [] if path.suffix == ".active" and not bag.damaged else bag.notes
+        except (LogError, BagError) as error:
+            notes = [] if path.suffix == ".active" and not path.stat().st_size else [str(error)]
+        if notes:
+            damaged.append(f"{path}: {'; '.join(notes)}")
+        else:
+            path.unlink()
+    return messages, damaged

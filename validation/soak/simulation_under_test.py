@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 import xmlrpc.client
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,9 +52,6 @@ class Stack:
         uri: of the master.
         stop: polled at all times.
         soak_us: simulated time of the soak, not affected by resets, us.
-        stepping_wall: wall time of running at full speed, s.
-        stepped_us: simulated time that advanced in it, us.
-        timed: whether the two are counting.
         concluding: whether everything is being stopped, so that no end of a process is a failure.
     """
 
@@ -75,9 +72,6 @@ class Stack:
         self.uri = f"http://127.0.0.1:{port}"
         self.stop = stop
         self.soak_us = 0
-        self.stepping_wall = 0.0
-        self.stepped_us = 0
-        self.timed = True
         self.concluding = False
         self._sim_us = 0
         self._pids: dict[str, int] = {}
@@ -239,7 +233,6 @@ class Stack:
 
         goal = self._sim_us + min(soak_us - self.soak_us, _CHUNK)
         request = StepRequest(until=Time(goal // _MICRO, goal % _MICRO * 1000))
-        begun, before = time.monotonic(), self.soak_us
         answer: Future[Any] = self._pool.submit(self.call, "/simulator/step", Step, request, None)
         try:
             self._await(answer)
@@ -250,18 +243,6 @@ class Stack:
         if not response.success and _stamp_us(response.sim_time) <= self._sim_us:
             raise SoakError(f"step: {response.message}")
         self._pass(_stamp_us(response.sim_time))
-        if self.timed:
-            self.stepping_wall += time.monotonic() - begun
-            self.stepped_us += self.soak_us - before
-
-    @contextlib.contextmanager
-    def untimed(self) -> Iterator[None]:
-        """Exclude the time within the context from the time at full speed."""
-        before, self.timed = self.timed, False
-        try:
-            yield
-        finally:
-            self.timed = before
 
     def tick(self) -> None:
         """Advance by one tick."""

@@ -1,4 +1,4 @@
-"""``./xtdrone soak``: run one simulation for hours under changing load, and judge its growth.
+"""``./xtdrone soak``: run one simulation for hours under changing load, and hold its growth against limits.
 
 Exit status: 0 if memory and speed are flat, all logs and bags can be read and no log has a traceback; 1 if not; 2 for a
 value that is not allowed; 128 + n when stopped by signal n, with a report of the part that was run.
@@ -7,23 +7,30 @@ value that is not allowed; 128 + n when stopped by signal n, with a report of th
 from __future__ import annotations
 
 import argparse
+import contextlib
+import csv
+import json
+import os
+import shutil
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 
-from validation.soak import soak_script
-from validation.soak.judging import report
-from validation.soak.judging.verdict import Outcome, judge
-from validation.soak.simulation_under_test import SoakError, Stack
-from validation.soak.soak_runner import Runner
+from benchmarks.process_use import CpuSample
+from validation.soak import limits, soak_script
+from validation.soak.actions import Actions, read_files
+from validation.soak.simulation_under_test import Node, Nodes, SoakError, Stack
 from validation.soak.soak_script import Episode
+from xtdrone_control.files import write_whole
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_control.programs.node_command_line import speed_setting
+from xtdrone_control.programs.plain_node import init_plain_node
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError, seed_setting, vehicles_setting
@@ -32,10 +39,10 @@ from xtdrone_interaction.launching.scripted_launch import LaunchError, Stopped, 
 from xtdrone_interaction.machine_facts import machine_facts
 from xtdrone_interaction.simulation_services import SimError
 
-_JUDGE_LIMIT = 1800.0  # s of wall time to judge the remaining files at the end
-_JUDGE_LIMIT_STOPPED = 60.0
 _LINE_PERIOD = 10.0  # s of wall time between two lines of progress
-_TICKER_PERIOD = 0.5  # and on a terminal
+_MICRO = 1_000_000
+_TRACEBACK = "Traceback (most recent call last)"
+_ROSOUT_CLOSED = "publish() to a closed topic"  # of a node that logs during its shutdown
 
 
 @dataclass(frozen=True)
@@ -53,60 +60,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Run one simulation for hours of simulated time at full speed while missions, formations, nodes, ground "
         "stations and recorders start and stop according to a script generated from a seed, and check that its memory, "
-        "descriptors, threads and speed remain constant. See docs/soak.md."
+        "descriptors, threads and speed remain constant."
     )
-    add = parser.add_argument
     length = parser.add_mutually_exclusive_group()
     SoakSettings.add_arguments(length, ("hours",))
     length.add_argument("--short", action="store_true",
                         help="every kind of event once, in two minutes; growth and speed are not judged")  # fmt: skip
     SoakSettings.add_arguments(parser, ("seed", "n", "speed"))
     kinds = ", ".join(soak_script.KINDS)
-    add("--only", metavar="KINDS", default="",
-        help=f"kinds of episodes, separated by commas, of {kinds} (default: all; not with --short)")  # fmt: skip
-    add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
-    add("--script", action="store_true", help="print the script and run nothing")
-
-
-class _Progress:
-    """The line of progress on the terminal."""
-
-    def __init__(self, console: Console, hours: float) -> None:
-        self._console = console
-        self._hours = hours
-        self._due = 0.0
-
-    def __call__(self, runner: Runner) -> None:
-        now = time.monotonic()
-        if now < self._due:
-            return
-        ticker = self._console.is_terminal
-        self._due = now + (_TICKER_PERIOD if ticker else _LINE_PERIOD)
-        text = self._line(runner, now - runner.begun)
-        if ticker:
-            sys.stdout.write(f"\r\x1b[2K{text[: self._console.width - 1]}")
-            sys.stdout.flush()
-        else:
-            self._console.print(text, highlight=False, soft_wrap=True, markup=False)
-
-    def _line(self, runner: Runner, wall: float) -> str:
-        done = runner.stack.soak_us * 1e-6
-        factor = done / max(wall, 1e-3)
-        left = max(0.0, self._hours * 3600.0 - done) / max(factor, 1e-3)
-        phase = f"{runner.phase.episode.kind} {runner.phase.episode.number}" if runner.phase else "start"
-        return (
-            f"{_clock(done)} of {_clock(self._hours * 3600.0)} simulated, {factor:.1f} x, {phase}, "
-            f"{len(runner.stack.status().participants)} participants, ETA {_clock(left)}"
-        )
-
-    def end(self) -> None:
-        """End the line."""
-        if self._console.is_terminal:
-            sys.stdout.write("\n")
-
-
-def _clock(seconds: float) -> str:
-    return f"{int(seconds) // 3600}:{int(seconds) // 60 % 60:02d}:{int(seconds) % 60:02d}"
+    parser.add_argument("--only", metavar="KINDS", default="",
+                        help=f"kinds of episodes, with commas between, of {kinds} (default: all)")  # fmt: skip
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
+    parser.add_argument("--script", action="store_true", help="print the script and run nothing")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -116,12 +81,13 @@ def run(arguments: argparse.Namespace) -> int:
         settings = SoakSettings.from_arguments(arguments)
         if arguments.short and not hasattr(arguments, "n"):
             settings = replace(settings, n=3)
-        episodes = list(_script(settings, _kinds(arguments.only, short=arguments.short), short=arguments.short))
+        episodes = _episodes(settings, arguments.only, short=arguments.short)
         if arguments.script:
             _print_script(episodes, console)
             return 0
         command_options.check_vehicle_ports(parse_fleet(f"iris:{settings.n}"))
         folder = command_options.results_folder(arguments.out, recorded=True)
+        folder.mkdir(parents=True, exist_ok=True)
         return _soak(settings, episodes, folder, console, short=arguments.short)
     except (OptionError, FleetError) as error:
         print(f"xtdrone: {error}", file=sys.stderr)
@@ -134,27 +100,21 @@ def run(arguments: argparse.Namespace) -> int:
         return 1
 
 
-def _kinds(text: str, *, short: bool) -> Sequence[str]:
-    """Return the kinds of episodes named by ``--only``, in their usual order.
+def _episodes(settings: SoakSettings, only: str, *, short: bool) -> list[Episode]:
+    """Return the script.
 
     Raises:
-        OptionError: an unknown kind, or a choice for the short soak.
+        OptionError: ``--only`` names an unknown kind, or chooses kinds for the short soak.
     """
-    if not text:
-        return soak_script.KINDS
-    if short:
+    if short and only:
         raise OptionError("--only: not allowed with --short, which has an episode of every kind")
-    chosen = text.split(",")
-    for kind in chosen:
+    if short:
+        return list(soak_script.generate_short(settings.seed, settings.n))
+    kinds = only.split(",") if only else soak_script.KINDS
+    for kind in kinds:
         if kind not in soak_script.KINDS:
             raise OptionError(f"--only: {kind!r} is not allowed, one of {', '.join(soak_script.KINDS)}")
-    return [kind for kind in soak_script.KINDS if kind in chosen]
-
-
-def _script(settings: SoakSettings, kinds: Sequence[str], *, short: bool) -> Iterable[Episode]:
-    if short:
-        return soak_script.generate_short(settings.seed, settings.n)
-    return soak_script.generate(settings.seed, settings.n, settings.hours, kinds)
+    return list(soak_script.generate(settings.seed, settings.n, settings.hours, kinds))
 
 
 def _print_script(episodes: Sequence[Episode], console: Console) -> None:
@@ -168,104 +128,234 @@ def _print_script(episodes: Sequence[Episode], console: Console) -> None:
         begin += episode.length
 
 
+def _clock(seconds: float) -> str:
+    return f"{int(seconds) // 3600}:{int(seconds) // 60 % 60:02d}:{int(seconds) % 60:02d}"
+
+
+class Soak:
+    """Executes a script against a running simulation and takes a sample after each episode.
+
+    Attributes:
+        rows: Samples, by the columns of ``samples.csv``.
+        wrong: Failures of nodes and files, and tracebacks.
+        messages: Number of messages in the flight logs and bags that were read.
+        late: Maximum delay of an event, simulated s.
+    """
+
+    def __init__(self, stack: Stack, settings: SoakSettings, hours: float, console: Console) -> None:
+        """Prepare the execution; ``hours``: length of the script, simulated h."""
+        self.stack = stack
+        self.nodes = Nodes(stack, self._check_ended)
+        self.actions = Actions(stack, self.nodes, settings.n, settings.speed)
+        self.rows: list[dict[str, Any]] = []
+        self.wrong: list[str] = []
+        self.messages = 0
+        self.late = 0.0
+        self._hours, self._console, self._line_due = hours, console, 0.0
+        self._begun = time.monotonic()
+        self._file = (stack.folder / "samples.csv").open("w", encoding="utf-8", newline="")
+        self._writer = csv.DictWriter(self._file, limits.COLUMNS)
+        self._writer.writeheader()
+
+    def run(self, script: Iterable[Episode]) -> None:
+        """Execute the whole script.
+
+        Raises:
+            SoakError: The simulation has failed.
+            Stopped: A signal was received.
+        """
+        for episode in script:
+            begin, began, cpu = self.stack.soak_us, time.monotonic(), self._processor_time()
+            for event in episode.events:
+                self._advance(begin + round(event.time * _MICRO), episode)
+                self.actions.do(event.action, dict(event.arguments))
+            self._advance(begin + round(episode.length * _MICRO), episode)
+            seconds = (self.stack.soak_us - begin) / _MICRO
+            self._sample(episode, seconds, time.monotonic() - began, self._processor_time() - cpu)
+            self.read_files()
+
+    def _advance(self, due: int, episode: Episode) -> None:
+        if self.stack.soak_us < due:
+            self.actions.settle()
+        while self.stack.soak_us < due:
+            self.stack.advance(due)
+            self._show_progress(episode)
+        self.late = max(self.late, (self.stack.soak_us - due) / _MICRO)
+
+    def _processor_time(self) -> float:
+        """Return the processor time of simulator and MAVROS layer, s."""
+        pids = self.stack.pids()
+        sample = CpuSample.take(os.getpid())
+        return sum(
+            sample.processes[pids[name]][1] for name in ("simulator", "mavros") if pids.get(name) in sample.processes
+        )
+
+    def _sample(self, episode: Episode, seconds: float, wall: float, cpu: float) -> None:
+        row: dict[str, Any] = {
+            "wall": round(time.monotonic() - self._begun, 2),
+            "soak_time": self.stack.soak_us / _MICRO,
+            "kind": episode.kind,
+            "episode": episode.number,
+            "rtf": round(seconds / wall, 3),
+            "cpu_per_second": round(cpu / seconds, 5),
+            "participants": len(self.stack.status().participants),
+        }
+        for process, pid in self.stack.pids().items():
+            row |= {f"{process}_{name}": value for name, value in limits.process_figures(pid).items()}
+        self.rows.append(row)
+        self._writer.writerow(row)
+        self._file.flush()
+
+    def _show_progress(self, episode: Episode) -> None:
+        now = time.monotonic()
+        if now >= self._line_due:
+            self._line_due = now + _LINE_PERIOD
+            done, whole = self.stack.soak_us / _MICRO, self._hours * 3600.0
+            factor = done / max(now - self._begun, 1e-3)
+            self._console.print(
+                f"{_clock(done)} of {_clock(whole)} simulated, {factor:.1f} x, {episode.kind} {episode.number}, ETA "
+                f"{_clock(max(0.0, whole - done) / max(factor, 1e-3))}", highlight=False, soft_wrap=True, markup=False,
+            )  # fmt: skip
+
+    # ---- files
+
+    def _check_ended(self, node: Node) -> None:
+        """Look for a traceback in the logs of a node that was not killed, and remove those of a good one."""
+        found = [] if node.harmed else list(_tracebacks(node.folder.rglob("*.log")))
+        self.wrong += found
+        if not found and (node.ended or node.process.returncode in node.allowed):
+            shutil.rmtree(node.folder, ignore_errors=True)
+
+    def read_files(self, *, all_closed: bool = False) -> None:
+        """Read the finished flight logs and bags to their end and remove them, so that the disk does not fill.
+
+        Args:
+            all_closed: Whether the simulator has ended, so that it writes no log any more.
+        """
+        pid = self.stack.pids().get("simulator")
+        written: set[str] = set()
+        if pid is not None and not all_closed:
+            for entry in Path(f"/proc/{pid}/fd").iterdir():
+                with contextlib.suppress(OSError):  # closed in between
+                    written.add(os.readlink(entry))
+        logs = [path for path in sorted(self.stack.flight_logs.rglob("*.ulg")) if str(path) not in written]
+        messages, damaged = read_files([*logs, *sorted(self.actions.bags.iterdir())])
+        self.messages += messages
+        self.wrong += damaged
+
+    def close(self) -> None:
+        """End everything and collect the last findings."""
+        import rospy
+
+        self.stack.concluding = True
+        self.nodes.end_all()
+        rospy.signal_shutdown("the soak has ended")
+        self.stack.end()
+        self.read_files(all_closed=True)
+        # The master logs a traceback for each update that it cannot deliver to a killed node; rosout repeats all logs.
+        logs = [path for path in self.stack.logs.glob("**/*.log") if not path.name.startswith(("master", "rosout"))]
+        self.wrong += [*self.nodes.wrong, *_tracebacks(path for path in logs if "nodes" not in path.parts)]
+        self.stack.close()
+        self._file.close()
+
+
+def _tracebacks(logs: Iterable[Path]) -> Iterator[str]:
+    """Yield a line for each log with a traceback: its path and the last line of the text."""
+    for path in logs:
+        text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() and not path.is_symlink() else ""
+        _, found, rest = text.partition(_TRACEBACK)
+        if found and _ROSOUT_CLOSED not in rest:
+            yield f"{path}: {rest.strip().splitlines()[-1] if rest.strip() else found}"
+
+
 def _soak(settings: SoakSettings, episodes: Sequence[Episode], folder: Path, console: Console, *, short: bool) -> int:
     """Run, and write a report in any case."""
-    folder.mkdir(parents=True, exist_ok=True)
     hours = sum(episode.length for episode in episodes) / 3600.0
     console.print(f"Results: {folder}", highlight=False, soft_wrap=True)
-    facts = {
-        "n": settings.n, "seed": settings.seed, "hours": hours, "short": short, "speed": settings.speed,
-        "begun": time.strftime("%Y-%m-%d %H:%M:%S"), "machine": machine_facts(command_options.repository()),
-    }  # fmt: skip
-    progress = _Progress(console, hours)
     with StopRequest() as stop:
         stack = Stack(folder, settings.n, settings.seed, settings.speed, command_options.free_port(), stop)
-        runner: Runner | None = None
+        soak: Soak | None = None
         end = ""
         try:
             stack.wait_until_up()
-            _join_graph()
-            runner = Runner(stack, settings.n, settings.speed, progress)
-            runner.run(episodes)
+            # On wall time, as /clock has a thousand messages a second.
+            init_plain_node("soak", disable_signals=True, disable_rostime=True)
+            soak = Soak(stack, settings, hours, console)
+            soak.run(episodes)
         except Stopped as stopped:
             end = f"stopped by {stopped}"
         except (SoakError, SimError) as error:
             end = str(error)
         number, stop.number = stop.number, 0  # the conclusion is not interrupted
-        progress.end()
-        if runner is None:
+        if soak is None:
             stack.close()
             raise SoakError(end)
-        outcome = _conclude(runner, facts, end, stopped=bool(number), judge_growth=not short)
-        verdict = judge(outcome)
-        report.write(outcome, verdict, folder)
-        report.show(outcome, verdict, folder, console)
-    if number:
-        return 128 + number
-    return 1 if verdict.failures else 0
+        soak.close()
+    failed = _report(soak, settings, end, console, short=short)
+    return 128 + number if number else int(failed)
 
 
-def _join_graph() -> None:
-    """Become a node to publish; on wall time, as /clock has a thousand messages a second."""
-
-    from xtdrone_control.programs.plain_node import init_plain_node
-
-    init_plain_node("soak", disable_signals=True, disable_rostime=True)
-
-
-def _conclude(runner: Runner, settings: dict[str, Any], end: str, *, stopped: bool, judge_growth: bool) -> Outcome:
-    """Stop everything and collect the findings."""
-    import rospy
-
-    runner.stack.concluding = True
-    runner.nodes.end_all()
-    wall = time.monotonic() - runner.begun
-    rospy.signal_shutdown("the soak has ended")
-    runner.stack.end()
-    runner.texts.update()
-    runner.give_logs(ended=True)
-    unread = runner.judge.close(_JUDGE_LIMIT_STOPPED if stopped else _JUDGE_LIMIT)
-    runner.stack.close()
-    runner.samples.close()
-    judge, tally, texts = runner.judge, runner.tally, runner.texts
-    counts = {
-        "phases": _phases(runner),
-        "actions": dict(runner.actions.counts),
-        "nodes_started": runner.nodes.started,
-        "expected": runner.actions.expected,
-        "flights": runner.actions.flights,
-        "forced": runner.actions.forced,
-        "refused": report.top(runner.actions.refused),
-        "words_without_listener": runner.actions.lost_words,
-        "latest_event": tally.late,
-        "files": {f"{kind} {verdict}": number for (kind, verdict), number in sorted(judge.counts.items())},
-        "files_bytes": dict(judge.bytes),
-        "files_messages": dict(judge.messages),
-        "warnings_total": sum(texts.warnings.values()),
-        "warnings": report.top(texts.warnings),
-        "lost": texts.lost,
-    }
-    damaged = [f"{finding.path}: {'; '.join(finding.notes)}" for finding in judge.damaged]
-    return Outcome(
-        settings, end, runner.samples.rows, tally.stretches, runner.stack.soak_us / 3.6e9, wall, counts,
-        [*tally.tracebacks, *texts.tracebacks], runner.nodes.wrong, damaged, unread, judge_growth,
+def _report(soak: Soak, settings: SoakSettings, end: str, console: Console, *, short: bool) -> bool:
+    """Write report.json and soak.png, print the table; return whether a limit was exceeded."""
+    actions, folder = soak.actions, soak.stack.folder
+    failures = limits.failures(soak.rows, actions.flights, actions.expected, judge_growth=not short)
+    failures += [*soak.wrong, *([end] if end else [])]
+    found = {} if short else limits.growths(soak.rows)
+    content = {
+        "settings": {"n": settings.n, "seed": settings.seed, "speed": settings.speed, "short": short},
+        "machine": machine_facts(command_options.repository()),
+        "failures": failures,
+        "simulated_hours": soak.stack.soak_us / 3600.0 / _MICRO,
+        "growth_per_hour": {name: one._asdict() for name, one in found.items() if one.slope == one.slope},
+        "counts": {
+            "actions": dict(actions.counts), "nodes_started": soak.nodes.started, "expected": actions.expected,
+            "flights": actions.flights, "forced": actions.forced, "refused": dict(actions.refused),
+            "words_without_listener": actions.lost_words, "latest_event": soak.late, "messages": soak.messages,
+        },
+    }  # fmt: skip
+    write_whole(folder / "report.json", json.dumps(content, indent=1) + "\n")
+    if len(soak.rows) > 1:
+        _draw(soak.rows, f"Soak of {settings.n} vehicles, seed {settings.seed}", folder / "soak.png")
+    if found:
+        table = Table("per simulated hour", "slope", "99 % within", "allowed")
+        for name, (slope, low, high) in found.items():
+            table.add_row(name, f"{slope:+.3f}", f"{low:+.3f} .. {high:+.3f}", f"{limits.ALLOWED_GROWTH[name]:g}")
+        console.print(table)
+    console.print(
+        f"{content['simulated_hours']:.2f} h simulated, {actions.flights} of {actions.expected} vehicles took off when "
+        f"commanded, {soak.messages} messages read from logs and bags", highlight=False, soft_wrap=True,
     )  # fmt: skip
+    for failure in failures:
+        console.print(f"not good: {failure}", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"{'not good' if failures else 'good'}: {folder / 'report.json'}", highlight=False, soft_wrap=True)
+    return bool(failures)
 
 
-def _phases(runner: Runner) -> dict[str, dict[str, float]]:
-    """Return number, share of simulated time, real-time factor, processor and wall time by kind of episode."""
-    tally = runner.tally
-    total = sum(tally.simulated.values())
-    found = {}
-    for kind in tally.episodes:
-        own = [stretch for stretch in tally.stretches if stretch.kind == kind]
-        seconds, wall = sum(s.seconds for s in own), sum(s.wall for s in own)
-        found[kind] = {
-            "episodes": tally.episodes[kind],
-            "share": tally.simulated[kind] / total,
-            "rtf": seconds / max(wall, 1e-3),
-            "cpu": sum(s.cpu for s in own) / max(seconds, 1e-3),
-            "wall": tally.wall[kind],
-            "others": sum(s.others * s.wall for s in own) / max(wall, 1e-3),
-        }
-    return found
+def _draw(rows: Sequence[dict[str, Any]], title: str, path: Path) -> None:
+    """Draw memory, descriptors, threads and real-time factor over simulated time."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    from xtdrone_interaction.pictures.picture_style import save_figure
+
+    figure, axes = plt.subplots(2, 2, figsize=(13, 8), sharex=True, layout="constrained")
+    drawn = (("rss", "memory (resident set) [MiB]"), ("descriptors", "open descriptors"), ("threads", "threads"))
+    for axis, (name, label) in zip(axes.flat, drawn, strict=False):
+        for process in limits.PROCESSES:
+            known = [row for row in rows if f"{process}_{name}" in row]
+            hours = [row["soak_time"] / 3600 for row in known]
+            axis.plot(hours, [row[f"{process}_{name}"] for row in known], "o-", ms=2.5, lw=0.7, label=process)
+        axis.set(ylabel=label, ylim=(0, None))
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        own = [row for row in rows if row["kind"] == kind]
+        axes[1, 1].plot([row["soak_time"] / 3600 for row in own], [row["rtf"] for row in own], "o-", ms=3, lw=0.7,
+                        label=kind.replace("_", " "))  # fmt: skip
+    axes[1, 1].set(ylabel="simulated s / wall s, of each episode", ylim=(0, None))
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8)
+        axis.set(xlabel="simulated time [h]")
+    figure.suptitle(f"{title}: between episodes, when nothing flies and no other node runs")
+    save_figure(figure, path, dpi=110)

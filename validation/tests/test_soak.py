@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import json
 import math
 import os
-import random
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from bags import Bag
-from rich.console import Console
 
-from validation.soak import soak_cli, soak_script
-from validation.soak.actions import Actions, mission
-from validation.soak.judging import report
-from validation.soak.judging.file_checks import Finding, Judge, judge_bag, judge_log
-from validation.soak.judging.robust_fits import Stretch, growth, pace
-from validation.soak.judging.verdict import Outcome, judge
-from validation.soak.judging.warnings_in_logs import TextLogs, kind_of
-from validation.soak.resource_samples import COLUMNS, PROCESSES, SampleFile, figures, open_files
+from validation.soak import limits, soak_cli, soak_script
+from validation.soak.actions import Actions, mission, read_files
 from xtdrone_control.autopilot.logger.message_definitions import message_format
 from xtdrone_control.autopilot.logger.ulog_format import UlogWriter, data_template
 from xtdrone_interaction import cli
@@ -99,7 +91,7 @@ def test_kinds_of_episodes_that_cannot_be_chosen_are_refused(arguments, text, ca
 
 def test_each_node_has_a_name_of_its_own_and_is_ended_after_its_start():
     for episode in soak_script.generate(7, 9, HOURS):
-        begun = [e.arguments["node"] for e in episode.events if e.action in ("start", "record", "echo", "client")]
+        begun = [e.arguments["node"] for e in episode.events if e.action in ("start", "record", "client")]
         assert len(set(begun)) == len(begun)
         seen: set[str] = set()
         for event in episode.events:
@@ -132,88 +124,67 @@ def test_missions_take_off_fly_their_waypoints_and_land():
     ]
 
 
-# ---- fits
+# ---- limits
 
 
-def series(slope: float, noise: float, jumps: int = 0, samples: int = 100) -> tuple[list[float], list[float]]:
-    """Return times, h, and values around 200 that grow by ``slope`` an hour; some samples are 50 higher."""
+def rows(leak: float = 0.0, slower: float = 0.0) -> list[dict[str, Any]]:
+    """Return samples of eight hours, four an hour, that grow by ``leak`` MiB an hour and slow down by a fraction."""
     rng = np.random.default_rng(4)
-    hours = np.linspace(0.0, HOURS, samples)
-    values = 200.0 + slope * hours + rng.normal(0.0, noise, samples)
-    values[rng.choice(samples, jumps, replace=False)] += 50.0
-    return hours.tolist(), values.tolist()
-
-
-def test_a_leak_is_found_through_noise_and_outliers():
-    found = growth(*series(3.0, 2.0, jumps=10), allowance=2.0, warm_up=0.5)
-    assert found.verdict == "growing"
-    assert found.slope == pytest.approx(3.0, abs=0.3)
-    assert found.low < 3.0 < found.high
-
-
-def test_a_flat_noisy_series_is_flat():
-    found = growth(*series(0.0, 10.0, jumps=10), allowance=0.25, warm_up=0.5)
-    assert found.verdict == "flat"
-    assert found.low < 0.0 < found.high
-
-
-def test_growth_within_allowance_or_noise_is_flat():
-    assert growth(*series(1.0, 0.1), allowance=2.0, warm_up=0.5).verdict == "flat"
-    hours, values = series(0.0, 100.0, samples=9)
-    values[-1] += 400.0
-    assert growth(hours, values, allowance=0.0, warm_up=0.0).verdict == "flat"
-
-
-def test_growth_during_the_warm_up_is_flat():
-    hours, values = series(0.0, 1.0)
-    values = [value - 100.0 * max(0.0, 0.5 - hour) for hour, value in zip(hours, values, strict=True)]
-    assert growth(hours, values, allowance=0.5, warm_up=0.5).verdict == "flat"
-
-
-def test_one_descriptor_a_simulated_hour_is_found_in_whole_numbers():
-    hours = np.linspace(0.0, HOURS, 100)
-    assert growth(hours.tolist(), np.floor(40 + hours).tolist(), allowance=0.5, warm_up=0.5).verdict == "growing"
-    steady = [40.0 + (number % 3) for number in range(100)]
-    assert growth(hours.tolist(), steady, allowance=0.0, warm_up=0.5).verdict == "flat"
-
-
-def test_few_samples_are_not_judged():
-    assert growth([0.0, 1.0, 2.0], [1.0, 2.0, 3.0], allowance=0.0, warm_up=0.0).verdict == "not judged"
-
-
-def stretches(last_wall: float = 10.0, last_cpu: float = 6.0, last_others: float = 0.1) -> list[Stretch]:
-    """Return 40 episodes of 100 s; those of the last quarter have other times."""
-    rng = random.Random(2)
-    made = []
-    for number in range(40):
-        last = number >= 30
-        wall, cpu = (last_wall, last_cpu) if last else (10.0, 6.0)
-        factor = rng.uniform(0.95, 1.05)
-        made.append(
-            Stretch("mission", 100.0 * number, 100.0, wall * factor, cpu * factor, last_others if last else 0.1)
-        )
+    made: list[dict[str, Any]] = []
+    for number in range(32):
+        row: dict[str, Any] = {"soak_time": 900.0 * number, "kind": "mission", "participants": 1}
+        for process in limits.PROCESSES:
+            row |= {f"{process}_{name}": 40.0 for name in limits.FIGURES}
+        row["mavros_rss"] = 100.0 + leak * number / 4 + rng.normal(0.0, 0.5) + (30.0 if number % 11 == 5 else 0.0)
+        row["cpu_per_second"] = 0.1 * (1.0 + (slower if number >= 24 else 0.0))
+        made.append(row)
     return made
 
 
+def test_a_leak_is_found_through_noise_and_outliers():
+    found = limits.growths(rows(leak=5.0))["mavros_rss"]
+    assert found.slope == pytest.approx(5.0, abs=0.5)
+    assert found.low < 5.0 < found.high
+    flat = limits.growths(rows())["mavros_rss"]
+    assert flat.low < 0.0 < flat.high
+
+
+def test_growth_during_the_warm_up_does_not_count():
+    hours = [0.25 * number for number in range(32)]
+    values = [200.0 - 100.0 * max(0.0, 0.5 - hour) for hour in hours]
+    assert limits.growth(hours, values).slope == pytest.approx(0.0, abs=1e-9)
+
+
+def test_few_samples_are_not_judged():
+    assert math.isnan(limits.growth([0.0, 1.0, 2.0], [1.0, 2.0, 3.0]).slope)
+
+
 @pytest.mark.parametrize(
-    ("last", "verdict"),
+    ("samples", "flights", "words"),
     [
-        ({}, "flat"),
-        ({"last_wall": 15.0, "last_cpu": 9.0}, "slower"),
-        ({"last_wall": 15.0}, "slower"),  # it waits for something while the machine is idle
-        ({"last_wall": 15.0, "last_others": 1.5}, "not comparable"),
-        ({"last_wall": 15.0, "last_cpu": 9.0, "last_others": 1.5}, "slower"),
-        ({"last_wall": 5.0, "last_cpu": 3.0}, "flat"),
+        (rows(), 9, []),
+        (rows(leak=5.0), 9, ["mavros_rss grows"]),
+        (rows(slower=0.5), 9, ["mission became slower"]),
+        (rows(slower=0.1), 9, []),
+        (rows(), 5, ["only 5 of 9 vehicles"]),
     ],
 )
-def test_pace(last, verdict):
-    found = pace(stretches(**last), 4000.0, allowance=0.2, load_allowance=0.2)
-    assert found.verdict == verdict
-    assert found.first == pytest.approx(10.0, rel=0.05)
+def test_each_limit_that_is_exceeded_is_named(samples, flights, words):
+    found = limits.failures(samples, flights, 9, judge_growth=True)
+    assert len(found) == len(words)
+    assert all(word in text for word, text in zip(words, found, strict=True))
 
 
-def test_pace_of_few_episodes_is_not_judged():
-    assert pace(stretches()[:12], 4000.0, allowance=0.2, load_allowance=0.2).verdict == "not judged"
+def test_a_short_soak_is_not_judged_by_its_growth():
+    assert limits.failures(rows(leak=50.0, slower=1.0), 9, 9, judge_growth=False) == []
+
+
+def test_figures_of_a_process(tmp_path: Path):
+    before = limits.process_figures(os.getpid())
+    with (tmp_path / "open").open("w"):
+        assert limits.process_figures(os.getpid())["descriptors"] == before["descriptors"] + 1
+    assert limits.process_figures(os.getpid())["descriptors"] == before["descriptors"]
+    assert 0 < before["anonymous"] <= before["rss"]
 
 
 # ---- files
@@ -222,13 +193,13 @@ def test_pace_of_few_episodes_is_not_judged():
 def flight_log(path: Path) -> bytes:
     """Write a log of 2 s."""
     layout = message_format("sensor_combined")
-    rows = np.repeat(data_template(layout, 0)[None], 500)
-    rows["record"]["timestamp"] = 4000 * np.arange(500)
+    samples = np.repeat(data_template(layout, 0)[None], 500)
+    samples["record"]["timestamp"] = 4000 * np.arange(500)
     with path.open("wb") as sink:
         writer = UlogWriter(sink, 0)
         writer.add_format(layout)
         writer.subscribe(0, layout)
-        writer.add_messages(rows.tobytes())
+        writer.add_messages(samples.tobytes())
         writer.flush()
     return path.read_bytes()
 
@@ -241,174 +212,31 @@ def bag(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def test_bags_are_whole_cut_or_damaged(tmp_path: Path):
-    path = tmp_path / "flight.bag"
-    data = bag(path)
-    assert (judge_bag(path, False).verdict, judge_bag(path, False).messages) == ("whole", 200)
-    path.write_bytes(data[: len(data) // 2])
-    assert judge_bag(path, may_be_cut=False).verdict == "damaged"  # its recorder ended normally
-    cut = judge_bag(path, may_be_cut=True)
-    assert cut.verdict == "cut"
-    assert 50 < cut.messages < 150
-    middle = len(data) // 2
-    path.write_bytes(data[:middle] + bytes(300) + data[middle + 300 :])
-    assert judge_bag(path, may_be_cut=True).verdict == "damaged"
-    path.write_bytes(b"")
-    assert judge_bag(path, may_be_cut=True).verdict == "cut"
-    assert judge_bag(path, may_be_cut=False).verdict == "damaged"
+def test_whole_files_are_counted_and_removed(tmp_path: Path):
+    flight_log(tmp_path / "a.ulg")
+    bag(tmp_path / "b.bag")
+    assert read_files(sorted(tmp_path.iterdir())) == (700, [])
+    assert list(tmp_path.iterdir()) == []
 
 
-def test_flight_logs_are_whole_or_damaged(tmp_path: Path):
-    path = tmp_path / "00_00_00.ulg"
-    data = flight_log(path)
-    assert (judge_log(path).verdict, judge_log(path).messages) == ("whole", 500)
-    path.write_bytes(data[:-7])
-    assert judge_log(path).verdict == "damaged"
-    path.write_bytes(b"no log")
-    assert judge_log(path).verdict == "damaged"
+def test_a_bag_may_be_cut_if_its_recorder_was_killed(tmp_path: Path):
+    data = bag(tmp_path / "whole.bag")
+    (tmp_path / "killed.bag.active").write_bytes(data[: len(data) // 2])
+    (tmp_path / "none.bag.active").write_bytes(b"")
+    messages, damaged = read_files([tmp_path / "killed.bag.active", tmp_path / "none.bag.active"])
+    assert 50 < messages < 150
+    assert damaged == []
 
 
-def test_the_judge_keeps_damaged_files_and_a_few_whole_ones(tmp_path: Path):
-    paths = [tmp_path / "ulog" / "iris_0" / "2020-01-01" / f"00_00_{number:02d}.ulg" for number in range(6)]
-    paths[0].parent.mkdir(parents=True)
-    for path in paths:
-        flight_log(path)
-    paths[2].write_bytes(b"no log")
-    judge = Judge(tmp_path / "kept", os.environ)
-    for path in (*paths, paths[0]):  # one twice
-        judge.give("ulog", path)
-    assert judge.close(60.0) == 0
-    assert judge.counts == {("ulog", "whole"): 5, ("ulog", "damaged"): 1}
-    assert [Path(finding.path) for finding in judge.damaged] == [paths[2]]
-    assert not any(path.exists() for path in paths)
-    assert sorted(path.name.split("-")[0] for path in (tmp_path / "kept").iterdir()) == ["damaged", *["whole"] * 3]
-
-
-# ---- logs as text
-
-
-def test_warnings_are_counted_by_kind_and_tracebacks_found(tmp_path: Path):
-    folder = tmp_path / "run"
-    folder.mkdir()
-    collected, own = folder / "rosout.log", folder / "simulator-2.log"
-    collected.write_text(
-        "1.0 Node Startup\n"
-        "1.5 WARN /simulator [node.py:12(f)] [topics: /rosout, /clock] 3 datagrams were lost at 5.25 s\n"
-        "2.5 WARN /simulator [node.py:12(f)] [topics: /rosout, /clock] 41 datagrams were lost at 7.5 s\n"
-        "2.6 INFO /simulator [node.py:13(f)] [topics: /rosout] reset\n"
-        "3.5 ERROR /mavros [a.py:1(g)] [topics: /rosout] Traceback (most recent call last):\n"
-        "3.6 WARN /mavros [a.py:1(g)] [topics: /ro"
-    )
-    own.write_text("fine\n")
-    (folder / "master.log").write_text("Traceback (most recent call last):\n")  # of an update sent to a killed node
-    logs = TextLogs(tmp_path)
-    logs.update()
-    assert logs.warnings["WARN /simulator: # datagrams were lost at # s"] == 2
-    assert (logs.warnings.total(), logs.lost, logs.tracebacks) == (3, 2, [])
-    with collected.open("a") as file:
-        file.write("sout] 5 messages have not come\n")
-    with own.open("a") as file:
-        file.write("Traceback (most recent call last):\n  File x\nValueError: no\n")
-    logs.update()
-    logs.update()
-    assert (logs.warnings.total(), logs.lost) == (4, 3)
-    assert len(logs.tracebacks) == 1
-    assert logs.tracebacks[0].endswith("ValueError: no")
-
-
-def test_kinds_of_warnings_ignore_varying_parts():
-    assert kind_of("WARN", "/soak_12_follower_3", "iris_4: -0.5 m") == "WARN /soak_follower: iris_#: # m"
-
-
-# ---- samples and report
-
-
-def test_figures_of_a_process_and_its_open_files(tmp_path: Path):
-    before = figures(os.getpid())
-    with (tmp_path / "open").open("w"):
-        assert figures(os.getpid())["descriptors"] == before["descriptors"] + 1
-        assert str(tmp_path / "open") in open_files(os.getpid())
-    assert figures(os.getpid())["descriptors"] == before["descriptors"]
-    assert 0 < before["anonymous"] <= before["pss"] <= before["rss"]
-
-
-def rows(leak: float = 0.0) -> list[dict[str, object]]:
-    """Return samples of eight hours, four an hour between episodes, of processes of 100 MiB."""
-    made = []
-    for number in range(128):
-        row: dict[str, object] = dict.fromkeys(COLUMNS, 1)
-        row |= {"soak_time": 225.0 * number, "resting": number % 4 == 0}
-        for process in PROCESSES:
-            row[f"{process}_rss"] = row[f"{process}_anonymous"] = 100 << 20
-        row["mavros_rss"] = (100 << 20) + int(leak * (1 << 20) * number / 16)
-        made.append(row)
-    return made
-
-
-def outcome(**changes: object) -> Outcome:
-    phases = {"mission": {"episodes": 40, "share": 1.0, "rtf": 10.0, "cpu": 0.06, "wall": 400.0}}
-    counts = {
-        "phases": phases, "files": {"ulog whole": 3}, "flights": 9, "expected": 9, "forced": 0, "lost": 0,
-        "warnings": {"WARN x": 2}, "warnings_total": 2,
-    }  # fmt: skip
-    values: dict[str, object] = {
-        "settings": {"n": 9, "seed": 1}, "end": "", "rows": rows(), "stretches": stretches(), "hours": 8.0,
-        "wall": 3600.0, "counts": counts, "tracebacks": [], "wrong": [], "damaged": [], "unread": 0,
-    }  # fmt: skip
-    return Outcome(**{**values, **changes})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("changes", "word"),
-    [
-        ({}, ""),
-        ({"rows": rows(leak=5.0)}, "mavros rss grows by 5.00 an hour, 2 are allowed"),
-        ({"stretches": [Stretch("mission", 700.0 * i, 100.0, 10.0 + i, 6.0, 0.1) for i in range(40)]}, "became slower"),
-        ({"tracebacks": ["a.log:\nTraceback (most recent call last):\nValueError: no"]}, "ValueError: no"),
-        ({"wrong": ["soak_1_leader_2: ended by itself with status 1"]}, "ended by itself"),
-        ({"damaged": ["a.bag: bytes 3 to 4 of 9 are damaged"]}, "are damaged"),
-        ({"unread": 3}, "3 files were not read"),
-        ({"counts": {**outcome().counts, "flights": 5}}, "only 5 of 9 vehicles"),
-        ({"end": "stopped by SIGINT"}, "stopped by SIGINT"),
-    ],
-)
-def test_the_verdict_names_each_failure(changes, word):
-    soaked = outcome(**changes)
-    verdict = judge(soaked)
-    assert bool(verdict.failures) == bool(word)
-    assert word in "\n".join(verdict.failures)
-
-
-def test_the_report_is_written_with_its_figure(tmp_path: Path):
-    soaked = outcome(hours=math.inf)
-    report.write(soaked, judge(outcome()), tmp_path)
-    written = json.loads((tmp_path / "report.json").read_text())
-    assert written["good"] is True
-    assert written["simulated_hours"] is None  # JSON has no infinity
-    assert written["growth_per_hour"]["simulator rss"]["verdict"] == "flat"
-    assert (tmp_path / "soak.png").stat().st_size > 10_000
-
-
-def test_a_short_soak_is_not_judged_by_its_growth(capsys, tmp_path: Path):
-    soaked = outcome(rows=rows(leak=50.0), judge_growth=False)
-    verdict = judge(soaked)
-    assert verdict.failures == []
-    report.show(soaked, verdict, tmp_path, Console())
-    assert "not judged" in capsys.readouterr().out
-
-
-def test_samples_can_be_read_while_the_soak_runs(tmp_path: Path):
-    samples = SampleFile(tmp_path / "samples.csv")
-    samples.add({"wall": 1.5, "phase": "mission"})
-    lines = (tmp_path / "samples.csv").read_text().splitlines()
-    assert lines[0].split(",") == list(COLUMNS)
-    assert lines[1].startswith("1.5,,,mission,")
-    samples.close()
-
-
-def test_findings_travel_as_json():
-    finding = Finding("ulog", "/a", "whole", 1, 2, ["x"])
-    assert Finding(**json.loads(json.dumps(finding.__dict__))) == finding
+@pytest.mark.parametrize("name", ["a.ulg", "b.bag"])
+def test_damaged_files_are_named_and_kept(tmp_path: Path, name: str):
+    path = tmp_path / name
+    data = flight_log(path) if name == "a.ulg" else bag(path)
+    for content in (data[: len(data) // 2], b"no log"):
+        path.write_bytes(content)
+        _, damaged = read_files([path])
+        assert [text.split(":")[0] for text in damaged] == [str(path)]
+        assert path.exists()
 
 
 # ---- the command
