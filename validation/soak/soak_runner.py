@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks.process_use import CpuSample
 from validation.soak.actions import Actions, bag_of
 from validation.soak.judging.file_checks import Judge
-from validation.soak.judging.robust_fits import Stretch
+from validation.soak.judging.verdict import Stretch
 from validation.soak.judging.warnings_in_logs import TextLogs, tracebacks_in
 from validation.soak.resource_samples import PROCESSES, SampleFile, figures, folder_size, open_files
 from validation.soak.simulation_under_test import Node, Nodes, Stack

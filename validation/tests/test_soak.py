@@ -20,8 +20,7 @@ from validation.soak import soak_cli, soak_script
 from validation.soak.actions import Actions, mission
 from validation.soak.judging import report
 from validation.soak.judging.file_checks import Finding, Judge, judge_bag, judge_log
-from validation.soak.judging.robust_fits import Stretch, growth, pace
-from validation.soak.judging.verdict import Outcome, judge
+from validation.soak.judging.verdict import Outcome, Stretch, growth, judge, pace
 from validation.soak.judging.warnings_in_logs import TextLogs, kind_of
 from validation.soak.resource_samples import COLUMNS, PROCESSES, SampleFile, figures, open_files
 from xtdrone_control.autopilot.logger.message_definitions import message_format
@@ -207,13 +206,13 @@ def stretches(last_wall: float = 10.0, last_cpu: float = 6.0, last_others: float
     ],
 )
 def test_pace(last, verdict):
-    found = pace(stretches(**last), 4000.0, allowance=0.2, load_allowance=0.2)
+    found = pace(stretches(**last), 4000.0)
     assert found.verdict == verdict
     assert found.first == pytest.approx(10.0, rel=0.05)
 
 
 def test_pace_of_few_episodes_is_not_judged():
-    assert pace(stretches()[:12], 4000.0, allowance=0.2, load_allowance=0.2).verdict == "not judged"
+    assert pace(stretches()[:12], 4000.0).verdict == "not judged"
 
 
 # ---- files
