@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Run one simulation for hours of simulated time at full speed while missions, formations, nodes, ground "
         "stations and recorders start and stop according to a script generated from a seed, and check that its memory, "
-        "descriptors, threads and speed remain constant. See docs/soak.md."
+        "descriptors, threads and speed remain constant. See CONTRIBUTING.md."
     )
     add = parser.add_argument
     length = parser.add_mutually_exclusive_group()
