@@ -62,7 +62,7 @@ class PlatformSettings(Settings):
     colour: tuple[float, float, float] = setting((0.85, 0.85, 0.8), low=0.0, high=1.0, text="red, green, blue")
     tags: str = setting(
         "",
-        text="AprilTags on a white top instead of colour and cross: landing, or a YAML file, see docs/tags.md",
+        text="AprilTags on a white top instead of colour and cross: landing, or a YAML file, see docs/perception.md",
     )
 
     @property
