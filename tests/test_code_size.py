@@ -56,7 +56,9 @@ def test_small_modules_are_few(counter: ModuleType, modules: dict[str, int]) -> 
 
 
 def test_only_code_counts(counter: ModuleType) -> None:
-    source = '"""Docstring."""\n\n# comment\nvalue = (\n    1,  # one\n)\n\n\ndef f():\n    """Return\n    1."""\n    return 1\n'
+    source = (
+        '"""Docstring."""\n\n# comment\nvalue = (\n    1,\n)\n\n\ndef f():\n    """Return\n    1."""\n    return 1\n'
+    )
     assert counter.count_code_lines(source) == 5
 
 

@@ -133,7 +133,8 @@ def pace(stretches: Sequence[Stretch], total: float) -> Pace:
     first = [s for s in whole if s.begin < 0.25 * total]
     last = [s for s in whole if s.begin >= 0.75 * total]
     if min(len(first), len(last)) < LEAST_EPISODES:
-        return Pace(*[math.nan] * 6, "not judged")
+        none = math.nan
+        return Pace(none, none, none, none, none, none, "not judged")
     rtf = [float(np.median([s.seconds / s.wall for s in part])) for part in (first, last)]
     cpu = [float(np.median([s.cpu / s.seconds for s in part])) for part in (first, last)]
     others = [float(np.mean([s.others for s in part])) for part in (first, last)]
