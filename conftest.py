@@ -29,7 +29,9 @@ _SECONDS_FILE = (
 )  # file and seconds a line, of files that took longer than _STORED_SECONDS
 _STORED_SECONDS = 1.0
 _FAST_SECONDS = 5.0
-_SYSTEM_FILES_WITHOUT_ROS = ("test_architecture.py", "test_code_size.py", "test_documents.py", "test_version.py")
+_SYSTEM_FILES_WITHOUT_ROS = tuple(
+    f"test_{name}.py" for name in ("architecture", "code_size", "commit_subjects", "documents", "version")
+)
 _STARTS_PROCESSES = re.compile(r"\b(?:rospy|roscore|roslaunch|Popen|ProcessTree|multiprocessing|fake_roslaunch)\b")
 
 # Programs that tests start import benchmarks and validation, like those that ./xtdrone starts.
