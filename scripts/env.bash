@@ -40,13 +40,13 @@ if ! mkdir -p "$xtdrone_cache/xtdrone" 2>/dev/null || [[ ! -w $xtdrone_cache/xtd
 fi
 unset xtdrone_cache
 
-# ROS and MAVLink do not authenticate clients (docs/multi-machine.md), so master and nodes listen on this machine only,
+# ROS and MAVLink do not authenticate clients (docs/simulation.md), so master and nodes listen on this machine only,
 # unless an address is given. A master on another machine connects back to an address that only the user knows.
 if [[ -z ${ROS_IP:-}${ROS_HOSTNAME:-} ]]; then
   if [[ ${ROS_MASTER_URI:-http://localhost} =~ ^https?://(localhost|127\.[0-9.]+|\[::1\])(:|/|$) ]]; then
     export ROS_IP=127.0.0.1
   else
     echo "xtdrone: ROS_MASTER_URI is $ROS_MASTER_URI: for a master on another machine, export ROS_IP=ADDRESS, this" \
-      "machine's as the other one reaches it (docs/multi-machine.md)" >&2
+      "machine's as the other one reaches it (docs/simulation.md)" >&2
   fi
 fi

@@ -88,6 +88,16 @@ def test_the_site_lists_every_page() -> None:
     assert set(files(configuration["nav"])) == pages
 
 
+def test_every_page_is_two_clicks_from_the_readme() -> None:
+    def linked(page: Path) -> set[Path]:
+        names = (link.partition("#")[0] for link in _LINK.findall(_FENCED.sub("", page.read_text())))
+        return {(page.parent / name).resolve() for name in names if name.endswith(".md") and ":" not in name}
+
+    first = linked(REPOSITORY / "README.md")
+    second = {page for near in first for page in linked(near)}
+    assert set((REPOSITORY / "docs").rglob("*.md")) <= first | second
+
+
 def test_the_chinese_readme_has_the_commands_pictures_and_links_of_the_english_one() -> None:
     english, chinese = ((REPOSITORY / name).read_text() for name in ("README.md", "README.zh.md"))
     assert _FENCED.findall(chinese) == _FENCED.findall(english)

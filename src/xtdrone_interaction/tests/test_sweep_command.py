@@ -271,7 +271,7 @@ def test_the_most_frequent_reasons_are_listed(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_the_metric_of_the_documentation_works(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[3] / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "simplified.md").read_text(encoding="utf-8")
     (example,) = (part for part in text.split("```")[1::2] if "def figures(record)" in part)
     (tmp_path / "my_metric.py").write_text(example.removeprefix("python\n"))
     file = write_study(tmp_path, shares="[1.0]", seeds=1)

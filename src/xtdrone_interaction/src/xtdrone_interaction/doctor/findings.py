@@ -248,7 +248,7 @@ def _link(vehicle: Vehicle, graph: Graph, simulator: Simulator | None) -> Findin
             "MAVROS",
             cause,
             "start the launch again; beside a simulation without one: roslaunch launch/mavros.launch, or a real MAVROS "
-            "(docs/real-mavros.md)",
+            "(docs/px4-sitl.md)",
         )
     if vehicle.connected:
         return None

@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
         "Fly a study: many simplified (or core, full-physics) flights over parameters and seeds. Finished runs are "
-        "kept in all cases; the same command continues an interrupted sweep. See docs/sweeps.md."
+        "kept in all cases; the same command continues an interrupted sweep. See docs/simplified.md."
     )
     add = parser.add_argument
     add("study", type=Path, metavar="STUDY.yaml", help="description of the runs")

@@ -67,7 +67,8 @@ class PlatformSettings(Settings):
     height: float = setting(0.5, low=0.1, high=20.0, unit="m", text="height of the top above the ground")
     colour: tuple[float, float, float] = setting((0.85, 0.85, 0.8), low=0.0, high=1.0, text="red, green, blue")
     tags: str = setting(
-        "", text="AprilTags on a white top instead of colour and cross: landing, or a YAML file, see docs/tags.md"
+        "",
+        text="AprilTags on a white top instead of colour and cross: landing, or a YAML file, see docs/perception.md",
     )
 
     @property
