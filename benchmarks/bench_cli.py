@@ -24,8 +24,8 @@ from benchmarks.measurement_runner import TYPE, Bench, Case, Length
 from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.progress_and_files import print_machine, progress, write_results
 from benchmarks.tables.printed_tables import print_results, short_result
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction import command_options
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.launching.scripted_launch import (

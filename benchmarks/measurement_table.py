@@ -36,7 +36,7 @@ from benchmarks.tables.table_columns import (
     share,
     spread,
 )
-from xtdrone_control.fleet import MAX_VEHICLES
+from xtdrone_common.fleet import MAX_VEHICLES
 
 _MESSAGES = ("PositionTarget", "PoseStamped", "Imu", "Odometry", "TFMessage", "ModelStates")
 _CODEC_METHODS = ("encode", "genpy_encode", "decode", "genpy_decode")

@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from benchmarks.calibration import describe
-from xtdrone_control.files import write_whole
+from xtdrone_common.files import write_whole
 
 
 @contextmanager

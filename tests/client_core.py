@@ -14,8 +14,8 @@ import time
 from functools import partial
 from pathlib import Path
 
-from xtdrone_control.fleet import XTDRONE, Vehicle, with_ports
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_common.fleet import XTDRONE, Vehicle, with_ports
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.runtime.requests.pacing import Pacer
 from xtdrone_sim.simulation import Simulation

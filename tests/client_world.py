@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from xtdrone_control.fleet import XTDRONE, Vehicle
+from xtdrone_common.fleet import XTDRONE, Vehicle
 
 CORE = Path(__file__).with_name("client_core.py")
 START_LIMIT = 180.0  # s of wall time for the core to start: it may have to compile its kernels

@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.command_options import OptionError, check_vehicle_ports
 from xtdrone_interaction.launching.process_tree import ProcessTree
 

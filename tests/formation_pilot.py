@@ -18,7 +18,7 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Pose, Twist, Vector3
 from std_msgs.msg import Float32MultiArray, Int32MultiArray, String
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 
 RATE = 30.0
 COUNT = 3

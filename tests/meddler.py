@@ -18,7 +18,7 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Pose
 from std_msgs.msg import String
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 
 RATE = 30.0
 

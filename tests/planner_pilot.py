@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from xtdrone_msgs.msg import SplineTrajectory
 from xtdrone_msgs.srv import SetLidarFailure
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_control.communication.commands import CommandRequest
 from xtdrone_control.communication.multirotor import MavrosServices
 

@@ -16,7 +16,7 @@ import rospy
 from gazebo_msgs.msg import ModelStates
 from nav_msgs.msg import Odometry
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_control.drone import connect_all
 
 NAMES = ("iris_uwb_0", "iris_uwb_1")

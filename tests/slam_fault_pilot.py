@@ -17,7 +17,7 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import PoseStamped
 from xtdrone_msgs.srv import SetLidarFailure
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_control.drone import FaultError, connect
 
 FAULT = os.environ["SLAM_FAULT"]  # SPEED KIND VALUE TEXT: m/s, for the failure service, and the text in diagnostics

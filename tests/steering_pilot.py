@@ -19,8 +19,8 @@ from mavros_msgs.srv import CommandBool, SetMode
 from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
-from xtdrone_control import lockstep
-from xtdrone_control.geodesy.geoid import undulation
+import xtdrone_lockstep as lockstep
+from xtdrone_common.geodesy.geoid import undulation
 
 RATE = 50.0
 MAVROS = "/iris_0/mavros/"

@@ -13,7 +13,7 @@ import rospy
 from geometry_msgs.msg import Twist
 from std_msgs.msg import Float64MultiArray, String
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 
 RATE = 30.0
 TURNS = 420

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import Vehicle, fleet_text, parse_fleet, read_fleet_file, spawn_grid
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import Vehicle, fleet_text, parse_fleet, read_fleet_file, spawn_grid
 from xtdrone_coordination.array_follower import ArrayFollower
 from xtdrone_coordination.follower import Follower, FollowerOptions
 from xtdrone_coordination.laws.consensus import Peer

@@ -222,7 +222,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
     stack = Stack(graph, tmp_path_factory.mktemp("bad_input"))
     try:
         stack.run("simulator", "xtdrone_sim", "simulator.py", "_rows:=2", "_speed:=0", "_participants:=4")
-        stack.run("mavros", "xtdrone_control", "mavros_node.py")
+        stack.run("mavros", "xtdrone_mavros", "mavros_node.py")
         for i in range(2):
             stack.run(
                 f"communication_{i}", "xtdrone_control", "multirotor_communication.py", "iris", str(i),
@@ -619,7 +619,7 @@ def test_a_killed_mavros_ends_in_a_soft_landing(stack: Stack) -> None:
 
 
 def test_a_killed_simulator_ends_all_others(stack: Stack) -> None:
-    back = stack.run("mavros", "xtdrone_control", "mavros_node.py")
+    back = stack.run("mavros", "xtdrone_mavros", "mavros_node.py")
     states = stack.graph.hear("/iris_0/mavros/state", State)
     count = len(states.messages)
     # simulated time runs fast while the program starts

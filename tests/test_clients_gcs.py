@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from client_world import CLIENT_LIMIT, Core
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_common import modes
+from xtdrone_common.fleet import Vehicle
 from xtdrone_interaction.gcs import GroundStation, Peer
 from xtdrone_interaction.gcs.exchanges import exchange, logs, parameters
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import pytest
 from client_world import CLIENT_LIMIT, Core, free_port
 
-from xtdrone_control.fleet import PX4
+from xtdrone_common.fleet import PX4
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)  # the package announces a change in its next version

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.patterns import with_leader
 from xtdrone_interaction.command_options import OptionError, check_vehicle_ports

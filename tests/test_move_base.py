@@ -28,7 +28,7 @@ from std_srvs.srv import Empty
 from xtdrone_planning.navigation.level_map import LevelMap
 from xtdrone_planning.navigation.settings import CostmapSettings
 from xtdrone_sim.topics.world_map import FloorPlanSettings, floor_plan
-from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.catalogue import load_world
 
 UAV, UGV = "iris_2d_lidar_0", "ugv_0"
 WORLD = "indoor:door=2.4,corridor=3,room=7,lintel=2.8,furniture=0.5,length=24,width=16"

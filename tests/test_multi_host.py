@@ -306,7 +306,7 @@ class Pilot:
         from mavros_msgs.msg import State
         from std_msgs.msg import String
 
-        from xtdrone_control import lockstep
+        import xtdrone_lockstep as lockstep
 
         self._string = String
         self._names = names
@@ -350,8 +350,8 @@ def main() -> None:
     """Run the pilot."""
     import rospy
 
-    from xtdrone_control import lockstep
-    from xtdrone_control.fleet import parse_fleet
+    import xtdrone_lockstep as lockstep
+    from xtdrone_common.fleet import parse_fleet
 
     lockstep.init_node("pilot", rate=30)
     pilot = Pilot([vehicle.name for vehicle in parse_fleet(rospy.get_param("/xtdrone/fleet"))])

@@ -24,7 +24,7 @@ from xtdrone_planning.octree.octree_format import decode, read_file
 from xtdrone_planning.octree.octree_messages import octree_of
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.rays.surface_points import distances_from
-from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.catalogue import load_world
 
 FLEET = "iris_3d_lidar:1"
 NAME = "iris_3d_lidar_0"

@@ -17,7 +17,7 @@ from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
 from std_srvs.srv import Empty
 from xtdrone_msgs.msg import SceneState
 
-from xtdrone_sim.worlds import people_meshes
+from xtdrone_worlds.worlds import people_meshes
 
 FLEET = "iris:1"
 WORLD = """<?xml version="1.0"?>

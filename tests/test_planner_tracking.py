@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_planning.planner_settings import PlannerSettings
 from xtdrone_planning.replanning.planner import acceleration_setpoint
 from xtdrone_planning.trajectories.speed_profile import SpeedProfile

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 import pytest
 
-from xtdrone_control.plans import qgc_plan
+from xtdrone_autopilot.plans import qgc_plan
 from xtdrone_interaction.missions.search.record import SearchRecord, read_search
 
 NAMES = ("typhoon_h480_0", "typhoon_h480_1")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from xtdrone_common.settings import Settings
 from xtdrone_control.communication.commands import CommandSettings
-from xtdrone_control.settings import Settings
 from xtdrone_coordination.follower_nodes import HostedCommunication, NeighbourSettings, TurnSettings
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.search.search_settings import MissionSettings
@@ -73,12 +73,13 @@ from xtdrone_sim.uwb.uwb_node import UwbSettings
 from xtdrone_sim.vehicles.mounts.body_sensors import BodySensor, ImuMount, UwbMount
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 from xtdrone_sim.video.video_node import VideoSettings
-from xtdrone_sim.worlds.generated.city import CitySettings
-from xtdrone_sim.worlds.generated.forest import ForestSettings
-from xtdrone_sim.worlds.generated.indoor import IndoorSettings
-from xtdrone_sim.worlds.generated.maze import MazeSettings
-from xtdrone_sim.worlds.robots.robot_model import BodySettings, PlatformSettings
-from xtdrone_sim.worlds.robots.robot_settings import (
+from xtdrone_swarm.simplified.simplified_node import SimplifiedSettings
+from xtdrone_worlds.worlds.generated.city import CitySettings
+from xtdrone_worlds.worlds.generated.forest import ForestSettings
+from xtdrone_worlds.worlds.generated.indoor import IndoorSettings
+from xtdrone_worlds.worlds.generated.maze import MazeSettings
+from xtdrone_worlds.worlds.robots.robot_model import BodySettings, PlatformSettings
+from xtdrone_worlds.worlds.robots.robot_settings import (
     AckermannLimits,
     BoatLimits,
     DifferentialLimits,
@@ -86,8 +87,7 @@ from xtdrone_sim.worlds.robots.robot_settings import (
     HullSettings,
     WaveSettings,
 )
-from xtdrone_sim.worlds.scenery.countryside_layout import CountrysideSettings
-from xtdrone_swarm.simplified.simplified_node import SimplifiedSettings
+from xtdrone_worlds.worlds.scenery.countryside_layout import CountrysideSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 CLASSES: dict[str, type[Settings]] = {

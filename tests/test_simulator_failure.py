@@ -48,7 +48,7 @@ def test_participants_of_a_simulator_that_fails_end_with_an_error(stack: Stack) 
     settings = ("_participants:=/python,/cpp", f"_fleet:={FLEET}", "_speed:=0")
     simulator = stack.start("simulator", [sys.executable, "-c", SIMULATOR, *settings])
     rosgraph.Master("/system_tests").setParam("/lockstep/wait", True)
-    python = stack.run("python", "xtdrone_control", "lockstep_idle.py", "python", "30")
+    python = stack.run("python", "xtdrone_lockstep", "lockstep_idle.py", "python", "30")
     cpp = stack.start("cpp", [idle, "cpp", "30"])
     assert simulator.end() == 1
     assert "RuntimeError: the plant" in simulator.output

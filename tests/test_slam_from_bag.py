@@ -30,8 +30,8 @@ from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
-from xtdrone_control.pose_matrices import inverse, pose_of, turned_about_z
-from xtdrone_control.pose_messages import pose_message
+from xtdrone_common.pose_matrices import inverse, pose_of, turned_about_z
+from xtdrone_common.pose_messages import pose_message
 
 TRUTH, IMU = "/xtdrone/iris_0/ground_truth/odom", "/iris_0/mavros/imu/data"
 RATE, COUNT = 30.0, 90

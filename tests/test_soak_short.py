@@ -17,7 +17,7 @@ from conftest import poll
 pytest.importorskip("rospy")
 
 from validation.soak import soak_script
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.command_options import OptionError, check_vehicle_ports
 
 SEED, COUNT = 1, 3

@@ -29,11 +29,11 @@ from sensor_msgs.msg import BatteryState, Imu, NavSatFix
 from std_msgs.msg import Float64
 from xtdrone_msgs.srv import SetSpeed
 
-from xtdrone_control.autopilot.navigator.plan import PlanItem
-from xtdrone_control.mavros.programs import mavcmd, mavparam, mavsafety, mavsys, mavwp, parameter_formats
-from xtdrone_control.mavros.programs.shared_arguments_and_calls import ProgramError, execute
-from xtdrone_control.plans import waypoint_file
-from xtdrone_control.plans.waypoint_file import Row
+from xtdrone_autopilot.navigator.plan import PlanItem
+from xtdrone_autopilot.plans import waypoint_file
+from xtdrone_autopilot.plans.waypoint_file import Row
+from xtdrone_mavros.programs import mavcmd, mavparam, mavsafety, mavsys, mavwp, parameter_formats
+from xtdrone_mavros.programs.shared_arguments_and_calls import ProgramError, execute
 
 DATUM = (47.397742, 8.545594, 488.0)  # of the world "empty": degrees, degrees, m AMSL
 GEOID = 47.3  # m over the ellipsoid there
@@ -348,7 +348,7 @@ def test_mavros_s_programs_command(stack: Stack, typed: Typed, monkeypatch: pyte
 @pytest.mark.usefixtures("unhurried")
 def test_mavros_s_programs_are_found_by_their_names(stack: Stack) -> None:
     """Each is run once, all at once; one addresses a MAVROS that does not exist."""
-    folder = REPOSITORY / "src/xtdrone_control/mavros"
+    folder = REPOSITORY / "src/xtdrone_mavros"
     lines = {
         "mavsys": "-n iris_0/mavros message_interval --id 32 --rate 0",
         "mavcmd": "-n /iris_0/mavros long 511 32 0 0 0 0 0 0",

@@ -24,7 +24,7 @@ from std_msgs.msg import String
 from web_browser import StationPage, needs_chromium, station_page
 from xtdrone_msgs.msg import SimulationStatus
 
-from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_common.cameras.pinhole import Pinhole
 from xtdrone_coordination.search.coverage_map import CoverageMap
 from xtdrone_coordination.search.planning.region import make_region
 from xtdrone_coordination.search.search_node import coverage_message

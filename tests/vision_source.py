@@ -14,9 +14,9 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
 
-from xtdrone_control import lockstep
-from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
-from xtdrone_control.rotation import multiply
+import xtdrone_lockstep as lockstep
+from xtdrone_common.cameras.camera_pose import LINK_FROM_OPTICAL
+from xtdrone_common.rotation import multiply
 
 RATE = 30  # Hz
 NOISE = 0.01  # m

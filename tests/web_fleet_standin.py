@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tornado.ioloop import IOLoop, PeriodicCallback
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.web.fleet.fleet_frame import CHANNEL, pack_fleet_frame
 from xtdrone_interaction.web.fleet.model_states_bytes import COLUMNS
 from xtdrone_interaction.web.fleet.shapes_for_page import ShapeStore, describe_vehicle
@@ -25,7 +25,7 @@ from xtdrone_interaction.web.server.session import Session
 from xtdrone_interaction.web.server.station_server import Address, StationServer
 from xtdrone_interaction.web.station_node import PAGE
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.sdf import load_world_file
+from xtdrone_worlds.worlds.sdf import load_world_file
 
 _RATE = 10.0  # Hz
 _SPACING = 3.0  # m between vehicles

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.measurement_runner import Bench, Event, Row, find
-from xtdrone_control.fleet import parse_fleet, spawn_grid
+from xtdrone_common.fleet import parse_fleet, spawn_grid
 from xtdrone_coordination.search.planning.plans import SearchOptions, plan_search, write_plans
 from xtdrone_coordination.search.planning.region import read_region
 from xtdrone_interaction.missions.search.prepare import ROWS, camera_of, generate_world, shipped_region
-from xtdrone_sim.worlds.sdf import write_world
+from xtdrone_worlds.worlds.sdf import write_world
 
 SEARCHERS = 6
 """Number of vehicles."""

@@ -38,7 +38,7 @@ from xtdrone_msgs.srv import SetSpeed
 from benchmarks.nodes import bus_statistics
 from benchmarks.nodes.free_running_speeds import Trial, next_speed
 from benchmarks.process_use import CpuSample
-from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_common.programs.plain_node import init_plain_node
 from xtdrone_interaction.recording.topics import EVENTS_TOPIC
 
 _FIRST_PHASE = "climb"  # from this phase on all followers publish commands

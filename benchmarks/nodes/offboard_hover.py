@@ -47,9 +47,9 @@ from mavros_msgs.msg import PositionTarget, State
 from mavros_msgs.srv import CommandBool, SetMode
 from sensor_msgs.msg import Imu
 
+import xtdrone_lockstep as lockstep
 from benchmarks.process_use import CpuSample, memory, process_tree
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_common.fleet import FleetError, parse_fleet
 
 RATE = 30.0  # Hz
 _POSITION_ONLY = (

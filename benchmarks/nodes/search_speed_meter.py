@@ -41,8 +41,8 @@ from std_msgs.msg import String
 from xtdrone_msgs.msg import ObjectsOnGround
 
 from benchmarks.process_use import CpuSample, memory, process_tree
-from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_common.fleet import FleetError, parse_fleet
+from xtdrone_common.programs.plain_node import init_plain_node
 from xtdrone_interaction.recording.topics import SEARCH_PROGRESS_TOPIC
 
 _SEARCHES = {"searching", "second look", "back to its lane"}  # states of a searching vehicle

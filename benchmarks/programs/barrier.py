@@ -1,7 +1,7 @@
 """Benchmark of the lockstep's barrier alone: ``python -m benchmarks.programs.barrier``.
 
 Takes the place of the simulator, without a world: starts a ROS master and a number of idle participants
-(``lockstep_idle`` of xtdrone_control, in Python or C++) that are all due at every base step, and measures the wall time
+(``lockstep_idle`` of xtdrone_lockstep, in Python or C++) that are all due at every base step, and measures the wall time
 of each tick. Ends all processes that it has started.
 
 Exit status: 0 after a measurement, 1 after a failed one, 130 when interrupted.
@@ -29,14 +29,14 @@ import roslib.packages
 
 from benchmarks.process_use import CpuSample
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.fleet import MAX_VEHICLES
-from xtdrone_control.lockstep.protocol import BASE_STEP_US
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.fleet import MAX_VEHICLES
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction import command_options
+from xtdrone_lockstep.protocol import BASE_STEP_US
+from xtdrone_lockstep.server import LockstepServer
 
 PROGRAMS = {"python": "lockstep_idle.py", "cpp": "lockstep_idle"}
-"""Programs of xtdrone_control by kind."""
+"""Programs of xtdrone_lockstep by kind."""
 NO_PARTICIPANTS = "none"
 """The kind of a barrier without participants."""
 RATE = 1e6 / BASE_STEP_US  # Hz
@@ -174,14 +174,14 @@ def _participants(kind: str, count: int, uri: str, server: LockstepServer) -> It
 
 
 def node_program(name: str) -> str:
-    """Return the path of a program of xtdrone_control.
+    """Return the path of a program of xtdrone_lockstep.
 
     Raises:
         BarrierError: it does not exist.
     """
-    found = roslib.packages.find_node("xtdrone_control", name)
+    found = roslib.packages.find_node("xtdrone_lockstep", name)
     if not found:
-        raise BarrierError(f"{name}: not found in xtdrone_control; is the workspace built?")
+        raise BarrierError(f"{name}: not found in xtdrone_lockstep; is the workspace built?")
     return str(found[0])
 
 

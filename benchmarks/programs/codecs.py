@@ -25,7 +25,7 @@ from std_msgs.msg import Float64MultiArray, String
 from tf2_msgs.msg import TFMessage
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.ros_codec import compile_class
+from xtdrone_lockstep.ros_codec import compile_class
 
 _BATCH = 200
 _METHODS = ("encode", "decode", "genpy_encode", "genpy_decode")

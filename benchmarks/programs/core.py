@@ -14,8 +14,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control import modes
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.effects import Effect
 from xtdrone_sim.simulation import Simulation
 

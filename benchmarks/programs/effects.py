@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks.programs import core
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.air import AIR
 from xtdrone_sim.effects import Effect, Effects
 

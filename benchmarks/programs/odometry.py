@@ -17,10 +17,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.clouds import points_of, read_cloud
-from xtdrone_control.pose_matrices import pose_of
-from xtdrone_control.poses import Pose
-from xtdrone_control.settings import check_range
+from xtdrone_common.clouds import points_of, read_cloud
+from xtdrone_common.pose_matrices import pose_of
+from xtdrone_common.poses import Pose
+from xtdrone_common.settings import check_range
 from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions
 from xtdrone_planning.mapping.range_images import LidarImages, LidarMapping
@@ -32,7 +32,7 @@ from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import RayScene, SceneAt
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
-from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.catalogue import load_world
 
 KINDS = ("odometry", "local_map", "octree")
 

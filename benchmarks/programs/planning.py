@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.settings import check_range
+from xtdrone_common.settings import check_range
 from xtdrone_planning.mapping.range_images import RangeImage
 from xtdrone_planning.mapping.voxel_grid import LocalMap, MapSettings
 from xtdrone_planning.planner_settings import PlannerSettings, TrajectorySettings

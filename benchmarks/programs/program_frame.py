@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.files import write_whole
+from xtdrone_common.files import write_whole
 
 Row = dict[str, Any]
 

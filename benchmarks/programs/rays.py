@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
-from xtdrone_control.settings import check_range
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
+from xtdrone_common.settings import check_range
 from xtdrone_sim.lidars.lidar_messages import scan_message
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measure_scan
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import ActorInScene, RayScene, SceneAt
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Lidar
 from xtdrone_sim.vehicles.mounts.lidar_mounts import KINDS, LidarMount
-from xtdrone_sim.worlds.sdf import load_world_file
+from xtdrone_worlds.worlds.sdf import load_world_file
 
 _RATE = 10.0  # Hz
 _RAYS = {"scan": 512, "spinning": 512 * 16, "pattern": 20_000}

@@ -15,14 +15,14 @@ from dataclasses import replace
 from typing import Any
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
-from xtdrone_control.settings import check_range
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
+from xtdrone_common.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering.renderer import BACKENDS, Renderer, RendererError
 from xtdrone_sim.rays.scene import ActorInScene, SceneAt
-from xtdrone_sim.worlds.sdf import load_world_file
+from xtdrone_worlds.worlds.sdf import load_world_file
 
 _HEIGHT = 20.0  # m, of the camera
 _PITCH = math.radians(50.0)  # downwards

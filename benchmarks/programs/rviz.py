@@ -23,7 +23,7 @@ from std_msgs.msg import Float32MultiArray, Header, Int32MultiArray
 
 from benchmarks.process_use import CpuSample
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.recording.topics import PATTERN_TOPIC, TOPOLOGY_TOPIC
 from xtdrone_interaction.rviz.films.film_options import film_settings
 from xtdrone_interaction.rviz.films.messages_from_bag import Timed

@@ -25,16 +25,16 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from benchmarks.programs.program_frame import Column, Row, run
-from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
-from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.control.control_allocator import RotorLayout
-from xtdrone_control.autopilot.parameters.parameters import Parameters
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.geodesy.projection import Datum
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
-from xtdrone_control.mavlink.udp_port_and_clients import LOOPBACK
-from xtdrone_control.mavlink.wire.codec import decoder
-from xtdrone_control.mavros.link.autopilot_links import AutopilotLink, FcuUrl
+from xtdrone_autopilot.autopilot import STEP_US, Autopilot
+from xtdrone_autopilot.commander.commander import Commander
+from xtdrone_autopilot.control.control_allocator import RotorLayout
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.mavlink.udp_port_and_clients import LOOPBACK
+from xtdrone_autopilot.mavlink.wire.codec import decoder
+from xtdrone_autopilot.parameters.parameters import Parameters
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.geodesy.projection import Datum
+from xtdrone_mavros.link.autopilot_links import AutopilotLink, FcuUrl
 
 _SPAN = 2_000_000  # us of simulated time between two heartbeats of the clients
 _ARM = 0.2  # m, rotor arms along x and y

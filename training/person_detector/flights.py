@@ -26,14 +26,14 @@ import numpy as np
 from evaluate import SETTINGS, detector_of
 from make_data import REGION, Scene, View, people_of
 
-from xtdrone_control.poses import Pose, rotate
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.poses import Pose, rotate
+from xtdrone_common.rotation import from_euler
 from xtdrone_coordination.search.people.candidates import Candidate, Evidence, Sighting, nearest
 from xtdrone_coordination.search.search_settings import MissionSettings
-from xtdrone_sim.shapes.visual import Mesh, Visual
-from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.scenery import FreeGround, outdoor
-from xtdrone_sim.worlds.sdf import SdfWorld
+from xtdrone_worlds.shapes.visual import Mesh, Visual
+from xtdrone_worlds.worlds import people_meshes
+from xtdrone_worlds.worlds.scenery import FreeGround, outdoor
+from xtdrone_worlds.worlds.sdf import SdfWorld
 
 RATE = 2.0  # images per second
 SPEED = 4.0  # m/s

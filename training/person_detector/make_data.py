@@ -28,16 +28,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
-from xtdrone_control.poses import Pose, compose, rotate
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_common.poses import Pose, compose, rotate
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.cameras.rendering import Renderer
-from xtdrone_sim.shapes.visual import Mesh, Visual
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
-from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.scenery import FreeGround, outdoor
-from xtdrone_sim.worlds.sdf import SdfWorld
-from xtdrone_sim.worlds.urdf import Description
+from xtdrone_worlds.shapes.visual import Mesh, Visual
+from xtdrone_worlds.worlds import people_meshes
+from xtdrone_worlds.worlds.scenery import FreeGround, outdoor
+from xtdrone_worlds.worlds.sdf import SdfWorld
+from xtdrone_worlds.worlds.urdf import Description
 
 VEHICLE = "typhoon_h480"
 HEIGHTS = ((8, 15), (15, 25), (5, 8), (0.4, 5))  # m

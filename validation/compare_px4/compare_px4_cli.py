@@ -17,11 +17,11 @@ from validation.compare_px4 import event_tolerances, flown_scripts, pictures, re
 from validation.compare_px4.event_tolerances import Match
 from validation.compare_px4.pilot import PilotError
 from validation.compare_px4.response_tolerances import Figure
-from xtdrone_control.files import write_whole
+from xtdrone_common.files import write_whole
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError
-from xtdrone_sim.data_files import data_path
-from xtdrone_sim.descriptions import ModelError
+from xtdrone_worlds.data_files import data_path
+from xtdrone_worlds.descriptions import ModelError
 
 _MARK = {True: "within", False: "OUTSIDE"}
 

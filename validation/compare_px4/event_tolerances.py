@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from validation.compare_px4.reference import Event, Flight
 from validation.compare_px4.response_tolerances import SHARE
-from xtdrone_control import modes
+from xtdrone_common import modes
 
 LIMIT = 0.2  # s
 _SECOND = 1.0  # s, between the reference's heartbeats

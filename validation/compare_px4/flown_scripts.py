@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from validation.compare_px4.pilot import Pilot
 from validation.compare_px4.reference import Flight
-from xtdrone_control import modes
+from xtdrone_common import modes
 
 _NAN = math.nan
 _UNSET = (_NAN, _NAN, _NAN)

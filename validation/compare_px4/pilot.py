@@ -17,9 +17,9 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from validation.compare_px4.reference import Event, Flight, Track
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
-from xtdrone_control.modes import Mode
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.modes import Mode
 from xtdrone_sim.simulation import Simulation
 
 _NAN = math.nan

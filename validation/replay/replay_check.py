@@ -26,9 +26,9 @@ from rich.console import Console
 from rich.table import Table
 
 from validation.replay.digest_comparison import Comparison, DigestError, Digests, compare, read_digests
-from xtdrone_control.files import write_whole
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.files import write_whole
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError, patterns_setting, seed_setting, vehicles_setting

@@ -18,11 +18,11 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from validation.soak.limits import process_figures
 from validation.soak.simulation_under_test import Node, Nodes, Stack
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, PlanItem
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.geodesy import projection
-from xtdrone_control.plans.qgc_plan import FRAME_RELATIVE, Plan
+from xtdrone_autopilot.navigator import plan
+from xtdrone_autopilot.navigator.plan import FRAME_MISSION, PlanItem
+from xtdrone_autopilot.plans.qgc_plan import FRAME_RELATIVE, Plan
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.geodesy import projection
 from xtdrone_interaction.bags.bag_kinds import large_batches
 from xtdrone_interaction.bags.ros1bag import BagError, BagFile
 from xtdrone_interaction.gcs import GcsError, GroundStation, Peer

@@ -27,11 +27,11 @@ from validation.soak import limits, soak_script
 from validation.soak.actions import Actions, read_files
 from validation.soak.simulation_under_test import Node, Nodes, SoakError, Stack
 from validation.soak.soak_script import Episode
-from xtdrone_control.files import write_whole
-from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_control.programs.node_command_line import speed_setting
-from xtdrone_control.programs.plain_node import init_plain_node
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.files import write_whole
+from xtdrone_common.fleet import FleetError, parse_fleet
+from xtdrone_common.programs.node_command_line import speed_setting
+from xtdrone_common.programs.plain_node import init_plain_node
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError, seed_setting, vehicles_setting
 from xtdrone_interaction.console import PatientConsole

@@ -10,7 +10,7 @@ import pytest
 from validation.compare_px4 import event_tolerances, flown_scripts, pictures, reference, response_tolerances
 from validation.compare_px4.compare_px4_cli import report
 from validation.compare_px4.reference import Event, Flight, Track
-from xtdrone_control.fleet import Vehicle
+from xtdrone_common.fleet import Vehicle
 from xtdrone_interaction import cli
 
 

@@ -16,8 +16,8 @@ from bags import Bag
 
 from validation.soak import limits, soak_cli, soak_script
 from validation.soak.actions import Actions, mission, read_files
-from xtdrone_control.autopilot.logger.message_definitions import message_format
-from xtdrone_control.autopilot.logger.ulog_format import UlogWriter, data_template
+from xtdrone_autopilot.logger.message_definitions import message_format
+from xtdrone_autopilot.logger.ulog_format import UlogWriter, data_template
 from xtdrone_interaction import cli
 
 HOURS = 8.0

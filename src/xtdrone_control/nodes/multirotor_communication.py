@@ -20,11 +20,11 @@ from dataclasses import asdict
 
 import rospy
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import Served, parse_ids, run_program, served_vehicles
+from xtdrone_common.programs.plain_node import FLEET_PARAMETER, wait_for_fleet
 from xtdrone_control.communication.commands import CommandSettings
 from xtdrone_control.communication.multirotor import RATE, MultirotorCommunication
-from xtdrone_control.programs.node_command_line import Served, parse_ids, run_program, served_vehicles
-from xtdrone_control.programs.plain_node import FLEET_PARAMETER, wait_for_fleet
 
 WAIT = "--wait"
 USAGE = """multirotor_communication.py TYPE ID [--wait]

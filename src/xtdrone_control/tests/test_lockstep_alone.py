@@ -21,7 +21,7 @@ COMMON = {
 }
 LISTING = """
 import sys
-import xtdrone_control.lockstep.client.api, xtdrone_control.lockstep.server
+import xtdrone_lockstep.client.api, xtdrone_lockstep.server
 print(*(name for name in sys.modules if name.startswith("xtdrone_")))
 """
 

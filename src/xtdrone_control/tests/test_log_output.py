@@ -8,7 +8,7 @@ import sys
 _NODE = """
 import logging
 from rosgraph.roslogging import RosStreamHandler
-from xtdrone_control.programs.plain_node import survive_full_disk
+from xtdrone_common.programs.plain_node import survive_full_disk
 
 log = logging.getLogger("rosout")
 log.addHandler(RosStreamHandler())

@@ -9,13 +9,13 @@ from pymavlink.dialects.v20 import common as mavlink
 from test_lockstep_server import FakeParticipant, Running, joined
 from test_mavlink_server import Client, World, heartbeat
 
-from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.parameters.parameters import Parameters
+from xtdrone_autopilot.commander.commander import Commander
+from xtdrone_autopilot.mavlink import client_link as link_module
+from xtdrone_autopilot.parameters.parameters import Parameters
 from xtdrone_control.communication.commands import MultirotorCore
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.lockstep.transport.inbox import Inbox
-from xtdrone_control.mavlink import client_link as link_module
-from xtdrone_control.mavros.plugins import PLUGINS
+from xtdrone_lockstep.server import LockstepServer
+from xtdrone_lockstep.transport.inbox import Inbox
+from xtdrone_mavros.plugins import PLUGINS
 
 GCS_REMOTE_PORT = 14550
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
@@ -47,7 +47,7 @@ def clock(monkeypatch):
 
     clock = Clock()
     monkeypatch.setattr(link_module, "time", clock)
-    monkeypatch.setattr("xtdrone_control.mavlink.mavlink_server.time", clock)
+    monkeypatch.setattr("xtdrone_autopilot.mavlink.mavlink_server.time", clock)
     return clock
 
 

@@ -16,8 +16,8 @@ from mavros_msgs.msg import ExtendedState, State
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Header
 
-from xtdrone_control import lockstep
-from xtdrone_control.pose_history import PoseHistory
+import xtdrone_lockstep as lockstep
+from xtdrone_common.pose_history import PoseHistory
 from xtdrone_control.vehicle_topics import VehicleReport, VehicleTopics
 
 MAVROS = "/iris_0/mavros"

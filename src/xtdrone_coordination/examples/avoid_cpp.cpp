@@ -14,7 +14,7 @@
 #include <ros/master.h>
 #include <ros/param.h>
 #include <std_msgs/Float64MultiArray.h>
-#include <xtdrone_control/lockstep.h>
+#include <xtdrone_lockstep/lockstep.h>
 #include <xtdrone_coordination/avoidance.h>
 
 #include <iostream>
@@ -24,7 +24,7 @@
 #include <stdexcept>
 #include <string>
 
-namespace lockstep = xtdrone_control::lockstep;
+namespace lockstep = xtdrone_lockstep;
 using namespace xtdrone_coordination;
 
 namespace {

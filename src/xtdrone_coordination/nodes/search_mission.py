@@ -18,7 +18,7 @@ Topics: see ``xtdrone_coordination.search.search_node``.
 
 import sys
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_common.programs.node_command_line import run_program
 from xtdrone_coordination.search.search_node import run
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from shapely.geometry import Polygon
 
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_autopilot.navigator import plan
+from xtdrone_common.cameras.pinhole import Pinhole
 from xtdrone_coordination.search import searching_vehicle as control
 from xtdrone_coordination.search.coverage_map import shows
 from xtdrone_coordination.search.mission_control import SearchMission

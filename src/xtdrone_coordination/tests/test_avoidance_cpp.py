@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 from ros_graph import PATIENCE, Graph
 
-from xtdrone_control import lockstep
-from xtdrone_control.lockstep.server import LockstepServer
+import xtdrone_lockstep as lockstep
 from xtdrone_coordination.laws.formation_avoidance import RADIUS, avoid
+from xtdrone_lockstep.server import LockstepServer
 
 try:
     import rospy

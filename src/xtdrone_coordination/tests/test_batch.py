@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control.programs.user_classes import load_class
+from xtdrone_common.programs.user_classes import load_class
 from xtdrone_coordination.array_follower import ArrayFollower, OwnRows, PeerRows
 from xtdrone_coordination.batch import FollowerBatch
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower

@@ -25,16 +25,16 @@ from mavros_msgs.msg import PositionTarget, State
 from ros_graph import PATIENCE, Graph
 from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray, String
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_control.communication.multirotor import MultirotorCommunication
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.lockstep.transport.rospy_internals import set_time_us
-from xtdrone_control.ros_codec import compile_class
 from xtdrone_coordination import follower_nodes
 from xtdrone_coordination.compiled_follower import is_stock
 from xtdrone_coordination.follower import Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.follower_nodes import PATTERN_TOPIC, TOPOLOGY_TOPIC, FollowerNode
 from xtdrone_coordination.known_swarm_state import SwarmState
+from xtdrone_lockstep.ros_codec import compile_class
+from xtdrone_lockstep.server import LockstepServer
+from xtdrone_lockstep.transport.rospy_internals import set_time_us
 
 COUNT = 12
 ID = 5

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.programs.user_classes import load_class
+from xtdrone_common.programs.user_classes import load_class
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.known_swarm_state import SwarmState
 from xtdrone_coordination.laws import formation_avoidance

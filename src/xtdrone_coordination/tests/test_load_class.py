@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from test_formation import Swarm
 
-from xtdrone_control.programs.node_command_line import ArgumentError
-from xtdrone_control.programs.user_classes import load_class, nothing_overridden
+from xtdrone_common.programs.node_command_line import ArgumentError
+from xtdrone_common.programs.user_classes import load_class, nothing_overridden
 from xtdrone_coordination.follower import Follower, StarFollower
 from xtdrone_coordination.leader import Leader
 

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_common.cameras.pinhole import Pinhole
 from xtdrone_coordination.search.planning.coverage_path import (
     PERSON,
     CoverageOptions,

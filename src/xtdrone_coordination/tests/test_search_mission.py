@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from search_world import Thing, World, decoy, person
 
-from xtdrone_control.autopilot.navigator import plan
+from xtdrone_autopilot.navigator import plan
 from xtdrone_coordination.search.people.candidates import Candidate, Sighting
 from xtdrone_coordination.search.search_settings import MissionSettings
 from xtdrone_coordination.search.searching_vehicle import State

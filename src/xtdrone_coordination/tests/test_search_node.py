@@ -18,12 +18,12 @@ import yaml
 from ros_master import RosMaster
 from search_world import REGION, World, person
 
-from xtdrone_control import lockstep
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.programs.node_command_line import ArgumentError
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import ArgumentError
 from xtdrone_coordination.search import searching_vehicle as control
 from xtdrone_coordination.search.planning.region import region_data
 from xtdrone_coordination.search.search_settings import MissionSettings
+from xtdrone_lockstep.server import LockstepServer
 
 try:
     import rospy

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon
 
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.plans import qgc_plan
+from xtdrone_autopilot.navigator import plan
+from xtdrone_autopilot.plans import qgc_plan
+from xtdrone_common.cameras.pinhole import Pinhole
 from xtdrone_coordination.search.planning import plans as search_plans
 from xtdrone_coordination.search.planning.coverage_path import sweep
 from xtdrone_coordination.search.planning.plans import DatumSettings, SearchOptions, plan_search, write_plans

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot.navigator.plan import PlanItem
-from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_autopilot.navigator.plan import PlanItem
+from xtdrone_common.cameras.pinhole import Pinhole
 from xtdrone_coordination.search.assigned_mission import AssignedMission
 from xtdrone_coordination.search.coverage_map import OUTSIDE, SEEN, UNSEEN, CoverageMap
 from xtdrone_coordination.search.losses import cut, share_out

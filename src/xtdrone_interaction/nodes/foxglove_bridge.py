@@ -11,7 +11,7 @@ Topics and services: those of the graph. It is a plain node: the lockstep does n
 
 import sys
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_common.programs.node_command_line import run_program
 from xtdrone_interaction.bridges.foxglove.foxglove_node import main
 
 if __name__ == "__main__":

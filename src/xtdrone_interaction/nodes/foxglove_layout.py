@@ -11,7 +11,7 @@ It needs no ROS master.
 import argparse
 import sys
 
-from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_common.fleet import FleetError, parse_fleet
 from xtdrone_interaction.bridges.foxglove.layouts import VIEWS, layout, to_text
 
 _FLEETS = {"formation": "iris:9", "search": "typhoon_h480:6"}

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 import rospy
 
+from xtdrone_common.programs.node_command_line import ArgumentError, run_program
+from xtdrone_common.programs.under_roslaunch import end_launch
 from xtdrone_control.drone.script_node import connect
-from xtdrone_control.programs.node_command_line import ArgumentError, run_program
-from xtdrone_control.programs.under_roslaunch import end_launch
 from xtdrone_interaction.missions.landing.director import LandingDirector, LandingSettings, direct
 
 USAGE = "landing_director.py VEHICLE   (as iris_landing_camera_0)"

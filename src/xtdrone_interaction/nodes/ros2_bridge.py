@@ -10,7 +10,7 @@ Topics: those that match, while the other side has a subscriber. It is a plain n
 
 import sys
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_common.programs.node_command_line import run_program
 from xtdrone_interaction.bridges.ros2.ros2_node import main
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ Topics and services: those requested by clients. It is a plain node: the lockste
 
 import sys
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_common.programs.node_command_line import run_program
 from xtdrone_interaction.bridges.rosbridge.rosbridge_node import main
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ Parameters:
 
 import sys
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_common.programs.node_command_line import run_program
 from xtdrone_interaction.rviz.rviz_window import main
 
 if __name__ == "__main__":

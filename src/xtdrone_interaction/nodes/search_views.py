@@ -27,8 +27,8 @@ import rospy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import FleetError, parse_fleet
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import FleetError, parse_fleet
 from xtdrone_interaction.missions.search.camera_views import Picture, Views
 from xtdrone_interaction.recording.topics import SEARCH_EVENTS_TOPIC, SEARCH_PROGRESS_TOPIC
 from xtdrone_swarm.view.film import FilmError, FilmWriter

@@ -18,7 +18,7 @@ Topics:
 
 import sys
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_common.programs.node_command_line import run_program
 from xtdrone_interaction.rviz.markers_node import main
 
 if __name__ == "__main__":

@@ -22,10 +22,10 @@ from pathlib import Path
 import rospy
 from std_srvs.srv import Empty
 
-from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
-from xtdrone_control.plans import qgc_plan
-from xtdrone_control.programs.node_command_line import check_no_arguments, run_program
-from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_autopilot.plans import qgc_plan
+from xtdrone_common.fleet import FleetError, check_instance, parse_fleet
+from xtdrone_common.programs.node_command_line import check_no_arguments, run_program
+from xtdrone_common.programs.plain_node import init_plain_node
 from xtdrone_interaction.gcs import GcsError, upload_plans
 
 _RESUME = "/gazebo/unpause_physics"

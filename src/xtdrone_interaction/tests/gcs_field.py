@@ -9,13 +9,13 @@ import threading
 
 import numpy as np
 
-from xtdrone_control.autopilot.autopilot import Autopilot
-from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.control.control_allocator import RotorLayout
-from xtdrone_control.autopilot.parameters.parameters import Parameters
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy.projection import Datum
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.autopilot import Autopilot
+from xtdrone_autopilot.commander.commander import Commander
+from xtdrone_autopilot.control.control_allocator import RotorLayout
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.parameters.parameters import Parameters
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.geodesy.projection import Datum
 from xtdrone_interaction.gcs import Peer
 
 FIRST = 200  # far from the ports of a running simulation, and of other tests

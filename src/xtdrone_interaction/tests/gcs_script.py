@@ -6,7 +6,7 @@ from collections import deque
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavlink.wire.codec import decoder
+from xtdrone_autopilot.mavlink.wire.codec import decoder
 from xtdrone_interaction.gcs.exchanges.exchange import Heartbeat
 
 PX4, COPTER = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_TYPE_QUADROTOR

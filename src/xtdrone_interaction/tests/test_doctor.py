@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE
+from xtdrone_autopilot.events.event_catalogue import CATALOGUE
 from xtdrone_interaction.doctor import machine_check
 from xtdrone_interaction.doctor.findings import (
     _UNKNOWN_CHECK,

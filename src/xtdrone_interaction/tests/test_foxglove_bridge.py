@@ -21,7 +21,7 @@ pytest.importorskip("websockets")
 from foxglove import Context, Parameter
 from websockets.sync import server
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.bridges.foxglove.layouts import VIEWS, layout, to_text
 from xtdrone_interaction.bridges.foxglove.parameter_values import ParameterError, RosParameters, flat, to_parameter
 from xtdrone_interaction.bridges.foxglove.standing_client import PROTOCOL, StandingClient

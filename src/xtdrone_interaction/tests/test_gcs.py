@@ -9,10 +9,10 @@ import socket
 import pytest
 from gcs_field import COUNT, HOME, Field, LossyLine
 
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.autopilot.navigator.plan import PlanItem
-from xtdrone_control.plans import qgc_plan
-from xtdrone_control.plans.qgc_plan import Plan
+from xtdrone_autopilot.navigator import plan
+from xtdrone_autopilot.navigator.plan import PlanItem
+from xtdrone_autopilot.plans import qgc_plan
+from xtdrone_autopilot.plans.qgc_plan import Plan
 from xtdrone_interaction.gcs import GcsError, Peer, peers_of, station, upload_plans
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 from xtdrone_interaction.gcs_commands import terminal_output

@@ -9,7 +9,7 @@ from gcs_field import FIRST, Field, LossyLine
 from gcs_script import beat, talk, told
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.logger.log_folder import LogFolder
+from xtdrone_autopilot.logger.log_folder import LogFolder
 from xtdrone_interaction.gcs import GcsError, Peer, station
 from xtdrone_interaction.gcs.exchanges import logs
 from xtdrone_interaction.gcs.exchanges.exchange import RefusalError

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.parameters import parameter_file
-from xtdrone_control.autopilot.parameters.parameter_file import LIMITS, REAL32, ParameterFile
-from xtdrone_control.autopilot.parameters.parameters import NAMES
+from xtdrone_autopilot.parameters import parameter_file
+from xtdrone_autopilot.parameters.parameter_file import LIMITS, REAL32, ParameterFile
+from xtdrone_autopilot.parameters.parameters import NAMES
 from xtdrone_interaction.gcs import GcsError, Peer, station
 from xtdrone_interaction.gcs.exchanges import parameters
 from xtdrone_interaction.gcs.exchanges.exchange import RefusalError

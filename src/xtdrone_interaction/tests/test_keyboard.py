@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.programs.node_command_line import ArgumentError
 from xtdrone_control.communication.commands import HOVER_SPEED, HOVER_YAW_RATE, PX4_MODES
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.programs.node_command_line import ArgumentError
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.keyboard.arguments import parse_arguments
 from xtdrone_interaction.keyboard.key_bindings import Command, Message, Pilot, Setpoint, Target, digits

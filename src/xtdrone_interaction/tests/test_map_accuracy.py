@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from xtdrone_control.poses import Pose
+from xtdrone_common.poses import Pose
 from xtdrone_interaction.metrics.odometry_errors import Trajectory
 from xtdrone_interaction.missions.map_report import join_clouds, read_map, unite
 from xtdrone_interaction.missions.true_surfaces import Sight, TrueWorld, map_accuracy
 from xtdrone_interaction.recording.recorded_flight import RecordError
 from xtdrone_sim.rays.surface_points import distances_from, points_on
 from xtdrone_sim.rays.surfaces import of_shape, of_triangles
-from xtdrone_sim.shapes.visual import Box, Cylinder, Sphere
+from xtdrone_worlds.shapes.visual import Box, Cylinder, Sphere
 
 TURN = (np.cos(0.3), 0.0, np.sin(0.3) * 0.6, np.sin(0.3) * 0.8)
 AT = Pose((4.0, -3.0, 30.0), TURN)

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot.logger.message_definitions import message_format
-from xtdrone_control.autopilot.logger.ulog_format import UlogWriter, data_template, logged_string
+from xtdrone_autopilot.logger.message_definitions import message_format
+from xtdrone_autopilot.logger.ulog_format import UlogWriter, data_template, logged_string
 from xtdrone_interaction import cli
 from xtdrone_interaction.metrics.setpoint_tracking import tracking, trackings
 from xtdrone_interaction.metrics.spectrum import (

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from visualization_msgs.msg import Marker
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.rviz.markers import SwarmMarkers, ground_view

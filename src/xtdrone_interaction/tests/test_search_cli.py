@@ -10,12 +10,12 @@ import pytest
 from shapely.geometry import Point
 from shapely.ops import unary_union
 
-from xtdrone_control.plans import qgc_plan
+from xtdrone_autopilot.plans import qgc_plan
 from xtdrone_interaction import cli, command_options
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.missions.search import cli as search_cli
 from xtdrone_interaction.missions.search.prepare import SearchSettings, is_search, prepare, read_prepared
-from xtdrone_sim.worlds.sdf import load_world_file
+from xtdrone_worlds.worlds.sdf import load_world_file
 
 REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [30, 0], [30, 5], [25, 5]]]\n"
 

@@ -17,7 +17,7 @@ import rospy
 from rich.console import Console
 from std_msgs.msg import String
 
-from xtdrone_control.files import replacing
+from xtdrone_common.files import replacing
 from xtdrone_interaction.bags.ros1bag import BagFile
 from xtdrone_interaction.launching import supervised_launch
 from xtdrone_interaction.monitoring.ended_nodes import EndedNodes

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from xtdrone_control.settings import SettingError
+from xtdrone_common.settings import SettingError
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction.command_options import repository
 from xtdrone_interaction.studies.list_of_runs import Plan

@@ -22,9 +22,9 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 from mavros_msgs.msg import Waypoint, WaypointList
 from xtdrone_msgs.msg import SimulationStatus
 
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.geodesy.projection import Datum
-from xtdrone_control.settings import SettingError
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.geodesy.projection import Datum
+from xtdrone_common.settings import SettingError
 from xtdrone_interaction.doctor.findings import Graph, Vehicle
 from xtdrone_interaction.doctor.graph import Master
 from xtdrone_interaction.simulation_services import SimError

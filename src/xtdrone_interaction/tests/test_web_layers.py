@@ -23,7 +23,7 @@ from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.web.fleet.model_states_bytes import COLUMNS
 from xtdrone_interaction.web.layers.frames_in_map import FramesInMap
 from xtdrone_interaction.web.layers.layer_content import MOST_SIDE, UNKNOWN, Content, LayerError, Points, content_of

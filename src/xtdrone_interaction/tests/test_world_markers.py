@@ -7,11 +7,11 @@ import pytest
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
-from xtdrone_control.poses import Pose
+from xtdrone_common.poses import Pose
 from xtdrone_interaction.rviz.films.record_view import flown_world
 from xtdrone_interaction.rviz.world_markers import WorldMarkers
-from xtdrone_sim.shapes.visual import Box, Cylinder, Mesh, Sphere, Visual
-from xtdrone_sim.worlds.sdf import SdfActor, SdfLink, SdfModel, load_world_file
+from xtdrone_worlds.shapes.visual import Box, Cylinder, Mesh, Sphere, Visual
+from xtdrone_worlds.worlds.sdf import SdfActor, SdfLink, SdfModel, load_world_file
 
 WALL = SdfModel("wall", Pose((5.0, 0.0, 0.0)), links=(SdfLink("link", visuals=(
     Visual(Box((1.0, 4.0, 2.0)), Pose((0.0, 0.0, 1.0)), (0.8, 0.1, 0.2, 1.0)),

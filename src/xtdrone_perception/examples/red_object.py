@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import CameraInfo, Image
 
-from xtdrone_control import lockstep
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.programs.vehicle_program import run_node
+import xtdrone_lockstep as lockstep
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_control.vehicle_program import run_node
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_perception.images import picture_of
 from xtdrone_perception.tags.tag_poses import optical_frame

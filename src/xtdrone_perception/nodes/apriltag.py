@@ -17,7 +17,7 @@ import sys
 
 import rospy
 
-from xtdrone_control.programs.vehicle_program import serve_vehicles
+from xtdrone_control.vehicle_program import serve_vehicles
 from xtdrone_perception.tags.apriltag_node import RATE, AprilTagNode, AprilTagOptions
 from xtdrone_perception.tags.tag_detector import TagDetectorSettings
 

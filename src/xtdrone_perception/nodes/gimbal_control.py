@@ -15,7 +15,7 @@ import sys
 
 import rospy
 
-from xtdrone_control.programs.vehicle_program import serve_vehicles
+from xtdrone_control.vehicle_program import serve_vehicles
 from xtdrone_perception.gimbal_node import RATE, GimbalNode, GimbalOptions
 
 

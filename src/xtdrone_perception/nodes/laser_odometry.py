@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import sys
 
-from xtdrone_control.programs.vehicle_program import serve_vehicles
+from xtdrone_control.vehicle_program import serve_vehicles
 from xtdrone_perception.slam.laser.laser_odometry_node import LaserOdometryNode, read_settings
 from xtdrone_perception.slam.odometry_node import RATE
 

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 
 import rospy
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import ArgumentError, run_program, served_vehicles
-from xtdrone_control.programs.vehicle_program import run_node
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import ArgumentError, run_program, served_vehicles
+from xtdrone_control.vehicle_program import run_node
 from xtdrone_perception.slam.transfer.transfer_node import LASERS, RATE, transfer_of
 
 USAGE = "laser_transfer.py TYPE ID SLAM   (ID: a number, as 0)"

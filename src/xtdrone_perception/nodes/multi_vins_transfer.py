@@ -18,9 +18,9 @@ from dataclasses import replace
 
 import rospy
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import ArgumentError, parse_count, run_program
-from xtdrone_control.programs.vehicle_program import run_node
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import ArgumentError, parse_count, run_program
+from xtdrone_control.vehicle_program import run_node
 from xtdrone_perception.slam.transfer.foreign_pose import PlaceSettings, read_starts
 from xtdrone_perception.slam.transfer.transfer_node import RATE, SOURCES, ForeignOptions, PoseTransfer
 

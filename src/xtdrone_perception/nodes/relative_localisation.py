@@ -16,9 +16,9 @@ from collections.abc import Sequence
 
 import rospy
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import ArgumentError, parse_count, parse_ids, run_program
-from xtdrone_control.programs.vehicle_program import run_node
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import ArgumentError, parse_count, parse_ids, run_program
+from xtdrone_control.vehicle_program import run_node
 from xtdrone_perception.localisation.relative_filter import FilterSettings
 from xtdrone_perception.localisation.relative_node import RATE, RelativeLocalisationNode, RelativeOptions
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 
-from xtdrone_control.programs.vehicle_program import serve_vehicles
+from xtdrone_control.vehicle_program import serve_vehicles
 from xtdrone_perception.slam.transfer.transfer_node import RATE, PoseTransfer, transfer_of
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import sys
 
-from xtdrone_control.programs.vehicle_program import serve_vehicles
+from xtdrone_control.vehicle_program import serve_vehicles
 from xtdrone_perception.detection.yolo_node import RATE, YoloNode, read_detector, read_options
 
 

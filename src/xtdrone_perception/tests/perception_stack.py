@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ros_master import RosMaster
 
-from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_lockstep.server import LockstepServer
 
 PATIENCE = 120.0  # s of wall time
 

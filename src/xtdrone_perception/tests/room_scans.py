@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.clouds import PointScan
-from xtdrone_control.pose_matrices import inverse
+from xtdrone_common.clouds import PointScan
+from xtdrone_common.pose_matrices import inverse
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control import frames
-from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
-from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_common import frames
+from xtdrone_common.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_common.cameras.pinhole import Pinhole
 from xtdrone_perception.following.person_following import (
     ANY,
     FOLLOWING,

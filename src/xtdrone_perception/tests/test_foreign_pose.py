@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import pose_of, quaternion_of, turned_about_z
-from xtdrone_control.settings import SettingError
+from xtdrone_common.pose_matrices import pose_of, quaternion_of, turned_about_z
+from xtdrone_common.settings import SettingError
 from xtdrone_perception.slam.transfer.foreign_pose import (
     STATIC,
     ChainWatch,

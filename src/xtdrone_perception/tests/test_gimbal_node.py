@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from test_yolo_node import PATIENCE, Stack, rospy
 
-from xtdrone_control import lockstep
-from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation
-from xtdrone_control.frames import to_xyzw
+import xtdrone_lockstep as lockstep
+from xtdrone_common.cameras.camera_pose import camera_link_pose, mount_orientation
+from xtdrone_common.frames import to_xyzw
 
 if rospy is not None:
     from gazebo_msgs.msg import LinkStates

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from perception_stack import PATIENCE, Stack
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 
 try:
     import rospy

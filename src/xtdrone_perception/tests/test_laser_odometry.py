@@ -8,8 +8,8 @@ from room_scans import ROOM, ranges
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan
 
-from xtdrone_control.clouds import read_scan
-from xtdrone_control.pose_matrices import distance_between, inverse, move_pose, pose_of
+from xtdrone_common.clouds import read_scan
+from xtdrone_common.pose_matrices import distance_between, inverse, move_pose, pose_of
 from xtdrone_perception.slam.deskewing import motion_of
 from xtdrone_perception.slam.laser.laser_odometry import LaserEstimate, LaserOdometry, LaserSweep, ScanMatchSettings
 from xtdrone_perception.slam.laser.scan_matching import normals_of

@@ -9,7 +9,7 @@ import pytest
 from room_scans import PERIOD, ROOM, room_scan
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import inverse, move_pose, pose_of, pose_of_vector, predicted_pose, vector_of
+from xtdrone_common.pose_matrices import inverse, move_pose, pose_of, pose_of_vector, predicted_pose, vector_of
 from xtdrone_perception.slam.deskewing import deskew, motion_of
 from xtdrone_perception.slam.lidar_odometry import LidarOdometry, RegistrationOptions
 from xtdrone_perception.slam.lidar_odometry_node import LidarHealthLimits

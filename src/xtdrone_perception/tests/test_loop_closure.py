@@ -7,7 +7,7 @@ import pytest
 from room_scans import directions, ranges
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import inverse, pose_of, pose_of_vector
+from xtdrone_common.pose_matrices import inverse, pose_of, pose_of_vector
 from xtdrone_perception.slam.loops.loop_closure import LoopClosure, LoopOptions
 from xtdrone_perception.slam.loops.pose_graph import Edge, optimise_graph
 

@@ -15,7 +15,7 @@ pytest.importorskip("rospy")
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from sensor_msgs.msg import CameraInfo, Image
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "red_object.py"
 

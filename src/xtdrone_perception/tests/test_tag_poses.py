@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from xtdrone_control import rotation
-from xtdrone_control.cameras.camera_pose import rotation_matrix
-from xtdrone_control.settings import SettingError
-from xtdrone_control.tag_boards import LANDING, Tag, TagBoard
+from xtdrone_common import rotation
+from xtdrone_common.cameras.camera_pose import rotation_matrix
+from xtdrone_common.settings import SettingError
+from xtdrone_common.tag_boards import LANDING, Tag, TagBoard
 from xtdrone_perception.tags.tag_detector import SeenTag, TagDetector, TagDetectorSettings
 from xtdrone_perception.tags.tag_poses import (
     CORNER_NOISE,

@@ -15,7 +15,7 @@ from geometry_msgs.msg import PoseStamped, Quaternion, Transform, TransformStamp
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_perception.slam.transfer.foreign_pose import PlaceSettings
 from xtdrone_perception.slam.transfer.transfer_node import SOURCES, ForeignOptions, PoseTransfer
 

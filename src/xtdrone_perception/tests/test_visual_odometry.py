@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import distance_between, inverse, move_pose, pose_of, rotation_of
+from xtdrone_common.pose_matrices import distance_between, inverse, move_pose, pose_of, rotation_of
 from xtdrone_perception.slam.odometry_health import Fault, fault_of
 from xtdrone_perception.slam.visual.camera_model import BodyCamera
 from xtdrone_perception.slam.visual.corner_tracks import TrackSettings, depth_at

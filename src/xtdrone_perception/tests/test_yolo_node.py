@@ -15,10 +15,10 @@ import pytest
 from perception_stack import PATIENCE, Stack, wait_until
 from tiny_networks import write_darknet
 
-from xtdrone_control import lockstep
-from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.frames import to_xyzw
+import xtdrone_lockstep as lockstep
+from xtdrone_common.cameras.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.frames import to_xyzw
 from xtdrone_perception.tracking.geolocation import Geolocator, View
 
 try:

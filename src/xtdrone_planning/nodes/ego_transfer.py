@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 
-from xtdrone_control.programs.vehicle_program import serve_vehicles
+from xtdrone_control.vehicle_program import serve_vehicles
 from xtdrone_planning.replanning.ego_transfer_node import RATE, EgoTransfer
 
 

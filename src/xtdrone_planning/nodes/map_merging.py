@@ -17,9 +17,9 @@ from collections.abc import Sequence
 
 import rospy
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import ArgumentError, run_program, served_vehicles
-from xtdrone_control.programs.vehicle_program import run_node
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import ArgumentError, run_program, served_vehicles
+from xtdrone_control.vehicle_program import run_node
 from xtdrone_planning.merging.merging_node import RATE, MapMergingNode, read_settings
 
 USAGE = "map_merging.py TYPE ID   (ID: 0-2, 1,3,5 or all)"

@@ -16,9 +16,9 @@ from collections.abc import Sequence
 
 import rospy
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import fleet_of, parse_ids, run_program, served_vehicles
-from xtdrone_control.programs.vehicle_program import run_node
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import fleet_of, parse_ids, run_program, served_vehicles
+from xtdrone_control.vehicle_program import run_node
 from xtdrone_planning.navigation.navigation_node import RATE, NavigationNode
 
 USAGE = "move_base.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"

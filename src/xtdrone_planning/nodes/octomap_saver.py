@@ -13,8 +13,8 @@ from pathlib import Path
 import rospy
 from octomap_msgs.srv import GetOctomap
 
-from xtdrone_control.programs.node_command_line import ArgumentError, run_program
-from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_common.programs.node_command_line import ArgumentError, run_program
+from xtdrone_common.programs.plain_node import init_plain_node
 from xtdrone_planning.octree.octree_format import OctreeError, file_of
 from xtdrone_planning.octree.octree_messages import octree_of
 

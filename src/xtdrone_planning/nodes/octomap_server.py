@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import sys
 
-from xtdrone_control.programs.vehicle_program import serve_vehicles
+from xtdrone_control.vehicle_program import serve_vehicles
 from xtdrone_planning.octree.octomap_node import RATE, OctomapNode
 
 

@@ -16,8 +16,8 @@ import sys
 
 import rospy
 
-from xtdrone_control.programs.node_command_line import fleet_of
-from xtdrone_control.programs.vehicle_program import serve_vehicles
+from xtdrone_common.programs.node_command_line import fleet_of
+from xtdrone_control.vehicle_program import serve_vehicles
 from xtdrone_planning.replanning.planner_node import RATE, PlannerNode
 
 

@@ -14,7 +14,7 @@ from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3
 from mavros_msgs.msg import PositionTarget
 from quadrotor_msgs.msg import PositionCommand
 
-from xtdrone_control.rotation import from_euler, rotate
+from xtdrone_common.rotation import from_euler, rotate
 from xtdrone_planning.replanning.ego_transfer_node import optical_pose, setpoint_of
 
 STAMP = rospy.Time(12, 500_000_000)

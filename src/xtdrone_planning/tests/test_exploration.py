@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_floor import ToyFloor, rooms
 
-from xtdrone_control.settings import SettingError
+from xtdrone_common.settings import SettingError
 from xtdrone_planning.exploration.choice_of_frontier import AT_GOAL, HOME, Explorer
 from xtdrone_planning.exploration.floor_map import FLOWN, FREE, OCCUPIED, UNKNOWN, FloorMap
 from xtdrone_planning.exploration.frontiers import Ways, find_frontiers

@@ -11,7 +11,7 @@ import rospy
 from actionlib_msgs.msg import GoalID
 from move_base_msgs.msg import MoveBaseActionGoal
 
-from xtdrone_control.settings import SettingError
+from xtdrone_common.settings import SettingError
 from xtdrone_planning.navigation import action_server
 from xtdrone_planning.navigation.action_server import ActionGoals
 from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, choose, move_along_arc, window

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from toy_yard import pairs, seen, yard
 
-from xtdrone_control.pose_matrices import (
+from xtdrone_common.pose_matrices import (
     angle_between,
     distance_between,
     inverse,

@@ -17,10 +17,10 @@ from perception_stack import Stack
 from scipy.spatial.transform import Rotation
 from toy_yard import seen, way, yard
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import cloud_message, read_cloud
-from xtdrone_control.pose_matrices import inverse, pose_of, transform_points, turned_about_z
-from xtdrone_control.pose_messages import pose_message, stamped_pose
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import cloud_message, read_cloud
+from xtdrone_common.pose_matrices import inverse, pose_of, transform_points, turned_about_z
+from xtdrone_common.pose_messages import pose_message, stamped_pose
 from xtdrone_planning.octree.octree_format import read_file
 
 try:

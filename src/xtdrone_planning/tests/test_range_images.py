@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.clouds import ScanError
+from xtdrone_common.clouds import ScanError
 from xtdrone_planning.mapping.range_images import DepthImages, DepthMapping, LidarImages, LidarMapping, RangeImage
 from xtdrone_planning.mapping.voxel_grid import LocalMap, MapSettings
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.pose_matrices import inverse, pose_of, transform_points, turned_about_z
+from xtdrone_common.pose_matrices import inverse, pose_of, transform_points, turned_about_z
 from xtdrone_planning.merging.frame_links import Pairs
 
 Array = NDArray[np.float64]

@@ -32,7 +32,7 @@
 #include <tf2_msgs/TFMessage.h>
 #include <topic_tools/shape_shifter.h>
 #include <unistd.h>
-#include <xtdrone_control/lockstep.h>
+#include <xtdrone_lockstep/lockstep.h>
 
 #include <algorithm>
 #include <cstdio>
@@ -46,7 +46,7 @@
 #include "scene.h"
 #include "settings.h"
 
-namespace lockstep = xtdrone_control::lockstep;
+namespace lockstep = xtdrone_lockstep;
 
 namespace xtdrone_rviz {
 namespace {

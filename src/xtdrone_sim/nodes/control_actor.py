@@ -16,8 +16,8 @@ from collections.abc import Sequence
 import rospy
 from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import run_program
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import run_program
 
 LIMIT = 3.0  # simulated s to wait for the actor's subscriber
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import sys
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_common.programs.node_command_line import run_program
 from xtdrone_sim.runtime.requests.join_vehicle import main
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import sys
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_common.programs.node_command_line import run_program
 from xtdrone_sim.tf.vehicle_tf_node import main
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 
-from xtdrone_control.programs.node_command_line import run_program
+from xtdrone_common.programs.node_command_line import run_program
 from xtdrone_sim.topics.world_map import USAGE, main
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from ros_master import RosMaster
 
-from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_lockstep.server import LockstepServer
 
 try:
     import xtdrone_msgs.msg

@@ -18,12 +18,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.autopilot import Autopilot
-from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.parameters.parameters import Parameters
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.autopilot import Autopilot
+from xtdrone_autopilot.commander.commander import Commander
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.parameters.parameters import Parameters
+from xtdrone_common import modes
+from xtdrone_common.fleet import Vehicle
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 WALL_LIMIT = 120.0  # s; only a broken run takes so long

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.settings import SettingError
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.settings import SettingError
 from xtdrone_sim.air import AIR, BodyDrag, Downwash, Dryden, GroundEffect, WindField, WindRegion
 from xtdrone_sim.air.dryden import intensities
 from xtdrone_sim.air.rotor_wakes import thrust_ratio, wake_speed

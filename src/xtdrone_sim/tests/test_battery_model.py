@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from xtdrone_control.autopilot.parameters.parameters import Parameters
-from xtdrone_control.autopilot.state import FAILURE_OFF, FAILURES, MAX_ROTORS, SENSORS, SETPOINT, records
-from xtdrone_sim.descriptions import ModelError, read_description
+from xtdrone_autopilot.parameters.parameters import Parameters
+from xtdrone_autopilot.state import FAILURE_OFF, FAILURES, MAX_ROTORS, SENSORS, SETPOINT, records
 from xtdrone_sim.physics.battery_and_motor_currents import Batteries, BatteryModel
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_worlds.descriptions import ModelError, read_description
 
 HOVER_SPEED = 663.0  # rad/s, of iris
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from test_estimator_flights import UNSET, Flight
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
-from xtdrone_sim.shapes.visual import Box, Collision
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+from xtdrone_worlds.shapes.visual import Box, Collision
+from xtdrone_worlds.worlds import people_meshes
+from xtdrone_worlds.worlds.sdf import SdfLink, SdfModel
 
 WORLD = """<sdf version="1.6"><world name="w">
 <model name="table"><static>true</static><pose>10 0 1 0 0 0</pose><link name="link">

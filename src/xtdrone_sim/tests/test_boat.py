@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import StartPose
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler, to_euler
-from xtdrone_sim.descriptions import ModelError
+from xtdrone_common.fleet import StartPose
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler, to_euler
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.robots.boat_dynamics import Boat, water_at
 from xtdrone_sim.robots.wheel_drives import drive_of
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.robots.robot_model import BoatModel, load_robot
-from xtdrone_sim.worlds.robots.robot_settings import DENSITY, GRAVITY, BoatLimits, HullSettings, WaveSettings
-from xtdrone_sim.worlds.robots.robot_urdf import urdf_of
+from xtdrone_worlds.descriptions import ModelError
+from xtdrone_worlds.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.robots.robot_model import BoatModel, load_robot
+from xtdrone_worlds.worlds.robots.robot_settings import DENSITY, GRAVITY, BoatLimits, HullSettings, WaveSettings
+from xtdrone_worlds.worlds.robots.robot_urdf import urdf_of
 
 DT = 0.004
 FREE = BoatLimits(

@@ -10,19 +10,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import StartPose, parse_fleet
-from xtdrone_control.poses import Pose, compose
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.fleet import StartPose, parse_fleet
+from xtdrone_common.poses import Pose, compose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.physics.bodies.movable_bodies import mass_of
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, FREE, TOUCHING
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.physics.wrenches import Wrench
-from xtdrone_sim.shapes.visual import Box, Collision, Cylinder
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel, read_model
-from xtdrone_sim.worlds.urdf import Inertial
+from xtdrone_worlds.shapes.visual import Box, Collision, Cylinder
+from xtdrone_worlds.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.sdf import SdfLink, SdfModel, read_model
+from xtdrone_worlds.worlds.urdf import Inertial
 
 DT = 0.004
 G = 9.8

@@ -9,16 +9,16 @@ from typing import Any
 
 import pytest
 
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.models_in_requests import model_of_urdf
 from xtdrone_sim.gazebo.request_limits import RequestError
 from xtdrone_sim.gazebo.states import State
 from xtdrone_sim.physics.bodies.movable_bodies import MOST_PAIRS
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds.sdf import SdfError, SdfModel, read_model
-from xtdrone_sim.worlds.sdf.xml_elements import parse
+from xtdrone_worlds.worlds.sdf import SdfError, SdfModel, read_model
+from xtdrone_worlds.worlds.sdf.xml_elements import parse
 
 BOX = "<collision{}><geometry><box><size>1 1 1</size></box></geometry></collision>"
 

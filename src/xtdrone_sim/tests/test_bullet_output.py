@@ -9,7 +9,7 @@ import pytest
 
 WORLD = """
 print("before")
-from xtdrone_control.fleet import StartPose
+from xtdrone_common.fleet import StartPose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.physics.world_environment import load_world

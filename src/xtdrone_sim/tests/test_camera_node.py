@@ -29,11 +29,11 @@ from graph_of_nodes import (
     wait_until,
 )
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.rotation import from_euler
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.rotation import from_euler
+from xtdrone_lockstep.server import LockstepServer
 
 try:
     import rospy

@@ -13,17 +13,17 @@ pytest.importorskip("rospy")
 import rospy
 from numpy.typing import NDArray
 
-from xtdrone_control.cameras import Equidistant, PlumbBob, drawing_of
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.poses import OPTICAL_FRAME, Pose, compose, conjugate
+from xtdrone_common.cameras import Equidistant, PlumbBob, drawing_of
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.poses import OPTICAL_FRAME, Pose, compose, conjugate
 from xtdrone_sim.cameras.camera_messages import camera_info, messages, topics_of
 from xtdrone_sim.cameras.cameras_of_fleet import Camera
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.lens_and_noise import through_lens
 from xtdrone_sim.cameras.rendering import Renderer
-from xtdrone_sim.shapes.visual import Sphere, Visual
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount, MountError, read_cameras
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_worlds.shapes.visual import Sphere, Visual
 
 STAMP = rospy.Time(3, 500_000_000)
 BARREL = [-0.28, 0.07, 0.002, -0.001, 0.004]

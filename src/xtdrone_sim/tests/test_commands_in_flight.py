@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control import frames, modes
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.commands.command_execution import CommandHandler, from_command_int, from_command_long
-from xtdrone_control.mavlink.service_base import Vehicle
+from xtdrone_autopilot.mavlink.commands.command_execution import CommandHandler, from_command_int, from_command_long
+from xtdrone_autopilot.mavlink.service_base import Vehicle
+from xtdrone_common import frames, modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 
 NAN = math.nan

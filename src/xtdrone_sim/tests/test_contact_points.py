@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import StartPose, parse_fleet
+from xtdrone_common import modes
+from xtdrone_common.fleet import StartPose, parse_fleet
 from xtdrone_sim.physics.contacts.bullet_contacts import GROUND
 from xtdrone_sim.simulation import Simulation
 

@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from xtdrone_control.fleet import FleetError
-from xtdrone_control.fleet.fleet_as_text import read_fleet_file
-from xtdrone_sim.data_files import data_path
-from xtdrone_sim.descriptions import ModelError
+from xtdrone_common.fleet import FleetError
+from xtdrone_common.fleet.fleet_as_text import read_fleet_file
 from xtdrone_sim.lidars.ray_patterns import PatternError, read_pattern
-from xtdrone_sim.shapes.triangles import MeshError, read_obj
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.sdf import SdfError, load_world_file
-from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
-from xtdrone_sim.worlds.sdf.geometries.mesh_files import MOST_NODES, check_wavefront, read_mesh
-from xtdrone_sim.worlds.urdf import UrdfError, read_urdf
+from xtdrone_worlds.data_files import data_path
+from xtdrone_worlds.descriptions import ModelError
+from xtdrone_worlds.shapes.triangles import MeshError, read_obj
+from xtdrone_worlds.worlds.sdf import SdfError, load_world_file
+from xtdrone_worlds.worlds.sdf.geometries.heightmaps import read_heightmap
+from xtdrone_worlds.worlds.sdf.geometries.mesh_files import MOST_NODES, check_wavefront, read_mesh
+from xtdrone_worlds.worlds.urdf import UrdfError, read_urdf
 
 DIGITS = b"9" * 5000
 WORDS = (

@@ -14,19 +14,19 @@ pytest.importorskip("rospy")
 import rospy
 from sensor_msgs.msg import PointField
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.poses import Pose, compose, rotate
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.poses import Pose, compose, rotate
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.cameras.camera_messages import measure_depths, messages, noise_of, topics_of
 from xtdrone_sim.cameras.cameras_of_fleet import Camera, cameras_of
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
 from xtdrone_sim.rays.scene import RayScene, SceneAt
-from xtdrone_sim.shapes.visual import Box, Sphere, Visual
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError, read_cameras
 from xtdrone_sim.vehicles.vehicle_model import CameraMount, load_vehicle
-from xtdrone_sim.worlds.catalogue import generate
+from xtdrone_worlds.shapes.visual import Box, Sphere, Visual
+from xtdrone_worlds.worlds.catalogue import generate
 
 EYE = "eye::link"
 STAMP = rospy.Time(3, 500_000_000)
@@ -174,7 +174,7 @@ def test_a_stereo_pair_has_its_baseline_in_the_right_matrix() -> None:
 
 
 def fleet(model: str) -> Any:
-    from xtdrone_control.fleet import parse_fleet
+    from xtdrone_common.fleet import parse_fleet
 
     return parse_fleet(f"{model}:1")
 

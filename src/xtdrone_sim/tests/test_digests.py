@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from xtdrone_control.lockstep.protocol import Digest
+from xtdrone_lockstep.protocol import Digest
 from xtdrone_sim.runtime.digest_file import TRUTH, DigestFile
 
 

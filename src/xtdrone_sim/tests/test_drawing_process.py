@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.poses import Pose
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.poses import Pose
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.rays.scene import SceneAt
-from xtdrone_sim.worlds.robots.robot_model import load_robot
-from xtdrone_sim.worlds.sdf import load_world_file, write_world
+from xtdrone_worlds.worlds.robots.robot_model import load_robot
+from xtdrone_worlds.worlds.sdf import load_world_file, write_world
 
 SIZE = (64, 48)
 VIEW = View("camera", Pinhole.of_view(*SIZE, 1.0), 0.05, 100.0)

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, SceneAt, View, ground_level
 from xtdrone_sim.cameras.rendering import Renderer
-from xtdrone_sim.shapes.visual import Box, Geometry, Visual
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel, load_world_file
+from xtdrone_worlds.shapes.visual import Box, Geometry, Visual
+from xtdrone_worlds.worlds.sdf import SdfLink, SdfModel, load_world_file
 
 EYE = "camera::link"
 

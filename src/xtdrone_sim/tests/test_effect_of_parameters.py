@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot, step_all
-from xtdrone_control.autopilot.parameters.metadata import CHOICES
-from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, Parameters, describe
-from xtdrone_control.autopilot.state import (
+from xtdrone_autopilot.autopilot import STEP_US, Autopilot, step_all
+from xtdrone_autopilot.parameters.metadata import CHOICES
+from xtdrone_autopilot.parameters.parameters import INT32, NAMES, Parameters, describe
+from xtdrone_autopilot.state import (
     N_STATES,
     OBSTACLE_UNKNOWN,
     TASK_ACRO,
@@ -32,7 +31,8 @@ from xtdrone_control.autopilot.state import (
     TASK_STICKS,
     TASK_TRAJECTORY,
 )
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 
 NAN = math.nan

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numba import njit
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import StartPose, parse_fleet
+from xtdrone_common import modes
+from xtdrone_common.fleet import StartPose, parse_fleet
 from xtdrone_sim.effects import EffectError, Effects, load_effects
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.catalogue import load_world
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 DT = 0.004

@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from xtdrone_control import frames, modes
-from xtdrone_control.autopilot.commander.commander import Result
-from xtdrone_control.autopilot.state import (
+from xtdrone_autopilot.commander.commander import Result
+from xtdrone_autopilot.mavlink.streams.telemetry import Telemetry
+from xtdrone_autopilot.state import (
     FAILURE_GARBAGE,
     FAILURE_OFF,
     FAILURE_OK,
@@ -23,9 +23,9 @@ from xtdrone_control.autopilot.state import (
     VISION_FRD,
     VISION_NED,
 )
-from xtdrone_control.autopilot.vehicle_view import move_origin
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.streams.telemetry import Telemetry
+from xtdrone_autopilot.vehicle_view import move_origin
+from xtdrone_common import frames, modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 

@@ -11,8 +11,8 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control import frames, modes
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common import frames, modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 
 UNSET = (math.nan, math.nan, math.nan)

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.cameras.camera_worker import DrawingError, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras_of_fleet import Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import View

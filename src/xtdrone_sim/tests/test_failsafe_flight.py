@@ -6,11 +6,11 @@ import math
 
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.autopilot.navigator.plan import PlanItem
-from xtdrone_control.autopilot.state import FAILURE_OFF
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_autopilot.navigator import plan
+from xtdrone_autopilot.navigator.plan import PlanItem
+from xtdrone_autopilot.state import FAILURE_OFF
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 
 TICK_US = 20_000

@@ -12,9 +12,9 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.rotation_kernels import rotate, yaw_of
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.rotation_kernels import rotate, yaw_of
 from xtdrone_sim.simulation import Simulation
 
 UNSET = (math.nan, math.nan, math.nan)

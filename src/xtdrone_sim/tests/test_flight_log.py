@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.logger import sampled_topics
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_autopilot.logger import sampled_topics
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 
@@ -302,7 +302,7 @@ _CRASH = """
 import os, signal, sys
 from functools import partial
 from pathlib import Path
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 simulation = Simulation(parse_fleet("iris:1"), autopilots=partial(BuiltinAutopilot, logs=Path(sys.argv[1])))

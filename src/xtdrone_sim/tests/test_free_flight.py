@@ -9,8 +9,8 @@ import pytest
 from numba.core.datamodel import default_manager
 from numba.core.dispatcher import Dispatcher
 
-from xtdrone_control.autopilot.state import TASK_RATES
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_autopilot.state import TASK_RATES
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.steps_in_free_flight import FreeFlight
 

@@ -15,13 +15,13 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_native.mavlink_wire import Outbox
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, describe
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.streams.stream_schedule import GCS_RATES, Streams
-from xtdrone_control.mavlink.streams.telemetry import Telemetry
+from xtdrone_autopilot.mavlink.receiver import Receiver
+from xtdrone_autopilot.mavlink.streams.stream_schedule import GCS_RATES, Streams
+from xtdrone_autopilot.mavlink.streams.telemetry import Telemetry
+from xtdrone_autopilot.navigator import plan
+from xtdrone_autopilot.parameters.parameters import INT32, NAMES, describe
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 
 CALM, TROUBLED = 0, (1, 2)

@@ -8,9 +8,9 @@ pytest.importorskip("rospy", reason="needs rospy")
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
 from xtdrone_sim.physics.vehicle_dynamics import PLANT
-from xtdrone_sim.shapes import visual
 from xtdrone_sim.topics.model_states import ModelStatesMessage
-from xtdrone_sim.worlds.sdf import SdfModel
+from xtdrone_worlds.shapes import visual
+from xtdrone_worlds.worlds.sdf import SdfModel
 
 TREE = SdfModel("tree", pose=visual.Pose((4.0, 5.0, 6.0)))
 LEVEL = Quaternion(0.0, 0.0, 0.0, 1.0)

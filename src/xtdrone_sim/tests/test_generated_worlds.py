@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.descriptions import ModelError
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.physics.vehicle_dynamics import TOUCHING
-from xtdrone_sim.shapes.visual import Box
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds.catalogue import KINDS, UPSTREAM, find_world, generate, is_known, known_names, load_world
-from xtdrone_sim.worlds.generated.forest import least_distance, places
-from xtdrone_sim.worlds.generated.indoor import IndoorSettings, floor_plan
-from xtdrone_sim.worlds.generated.maze import passages
-from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file
+from xtdrone_worlds.descriptions import ModelError
+from xtdrone_worlds.shapes.visual import Box
+from xtdrone_worlds.worlds.catalogue import KINDS, UPSTREAM, find_world, generate, is_known, known_names, load_world
+from xtdrone_worlds.worlds.generated.forest import least_distance, places
+from xtdrone_worlds.worlds.generated.indoor import IndoorSettings, floor_plan
+from xtdrone_worlds.worlds.generated.maze import passages
+from xtdrone_worlds.worlds.sdf import SdfWorld, load_world_file
 
 SEEDS = st.integers(0, 2**31 - 1)
 

@@ -9,17 +9,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.cameras.camera_pose import camera_link_pose, mount_orientation
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose, compose, rotate
-from xtdrone_control.rotation import from_euler
-from xtdrone_sim.descriptions import ModelError
+from xtdrone_common import modes
+from xtdrone_common.cameras.camera_pose import camera_link_pose, mount_orientation
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose, compose, rotate
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.physics.vehicle_dynamics import PLANT
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.gimbals_and_landing_gears import Gimbals, LandingGears
 from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_worlds.descriptions import ModelError
 
 STEP = 0.004
 MODEL = load_vehicle("typhoon_h480")

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from px4_stand_in import ACCEL, BARO, GYRO, MAG, WALL_LIMIT, StandIn
 
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy.projection import project
-from xtdrone_control.mavlink.streams.vehicle_state import EPOCH_US
+from xtdrone_autopilot.mavlink.streams.vehicle_state import EPOCH_US
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.geodesy.projection import project
 from xtdrone_sim.autopilots import px4_hil_fleet as hil_module
 from xtdrone_sim.autopilots.px4_hil_fleet import Hil
 from xtdrone_sim.autopilots.px4_hil_link import RELOCK_STEPS, STALE_US, HilError

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.rotation_kernels import rotate_inverse
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.rotation_kernels import rotate_inverse
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.imu_topics import Imu
 from xtdrone_sim.vehicles.mounts.body_sensors import ImuMount, read_imus

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.logger.log_folder import LogFolder
-from xtdrone_control.fleet import FleetError, StartPose, parse_fleet
+from xtdrone_autopilot.logger.log_folder import LogFolder
+from xtdrone_common import modes
+from xtdrone_common.fleet import FleetError, StartPose, parse_fleet
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
-from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.effects import load_effects
 from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, TOUCHING
 from xtdrone_sim.simulation import Simulation
+from xtdrone_worlds.descriptions import ModelError
 
 Script = dict[int, Callable[[Simulation], object]]
 """Changes by simulated second."""

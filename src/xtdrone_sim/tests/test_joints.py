@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import StartPose
+from xtdrone_common.fleet import StartPose
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.sdf import SdfWorld, read_world, write_world
+from xtdrone_worlds.worlds.sdf import SdfWorld, read_world, write_world
 
 FILE = Path("joints.world")
 G = 9.8

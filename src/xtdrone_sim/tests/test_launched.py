@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from xtdrone_control.fleet import FleetError
-from xtdrone_sim.descriptions import ModelError, read_description
+from xtdrone_common.fleet import FleetError
 from xtdrone_sim.runtime.launched_vehicles import launched_world, read_launched
+from xtdrone_worlds.descriptions import ModelError, read_description
 
 
 def group(number: int, sdf: str = "iris") -> dict[str, Any]:

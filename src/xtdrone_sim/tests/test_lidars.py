@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.lidars.ray_patterns import PatternError, rays_of, read_pattern
 from xtdrone_sim.lidars.scan_measurement import begin_us, cast_scan, end_us, measure_scan
 from xtdrone_sim.lidars.scene_history import SceneHistory
 from xtdrone_sim.rays.scene import Hits, RayScene, SceneAt
-from xtdrone_sim.shapes.visual import Box, Visual
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount, read_lidars
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+from xtdrone_worlds.shapes.visual import Box, Visual
+from xtdrone_worlds.worlds.sdf import SdfLink, SdfModel
 
 LINK = "iris_0::base_link"
 IRIS = load_vehicle("iris").urdf

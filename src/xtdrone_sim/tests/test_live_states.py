@@ -10,7 +10,7 @@ pytest.importorskip("rospy")
 
 from gazebo_msgs.msg import ModelStates
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_sim.topics.model_states import PERIOD, STANDING_PERIOD, LiveStates
 
 

@@ -12,12 +12,12 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from pyulog import ULog
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.logger import mavlink_log_pieces
-from xtdrone_control.autopilot.logger.sampled_topics import TOPICS
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
-from xtdrone_control.mavlink.microservices.files_and_logs import log_stream
+from xtdrone_autopilot.logger import mavlink_log_pieces
+from xtdrone_autopilot.logger.sampled_topics import TOPICS
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.mavlink.microservices.files_and_logs import log_stream
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 

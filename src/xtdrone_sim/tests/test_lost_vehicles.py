@@ -7,8 +7,8 @@ import logging
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.gazebo.request_limits import HARDEST, HARDEST_TURN, RequestError, check_wrench
 from xtdrone_sim.physics.vehicle_dynamics import FASTEST_TURN, LOST
 from xtdrone_sim.physics.wrenches import Wrench

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.flight_tasks.obstacle_map import ObstacleMap
-from xtdrone_control.autopilot.state import FAILURE_OFF
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.rotation_kernels import rotate
+from xtdrone_autopilot.flight_tasks.obstacle_map import ObstacleMap
+from xtdrone_autopilot.state import FAILURE_OFF
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.rotation_kernels import rotate
 from xtdrone_sim.simulation import Simulation
 
 SAMPLE_US = 20_000

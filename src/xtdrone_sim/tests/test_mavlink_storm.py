@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
-from xtdrone_control.mavlink.udp_port_and_clients import MAX_CLIENTS
-from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.mavlink.udp_port_and_clients import MAX_CLIENTS
+from xtdrone_autopilot.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
+from xtdrone_common.fleet import Vehicle
 from xtdrone_sim.simulation import Simulation
 
 SYSTEM = 1

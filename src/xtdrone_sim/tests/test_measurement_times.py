@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from xtdrone_control.settings import SettingError, Settings
+from xtdrone_common.settings import SettingError, Settings
 from xtdrone_sim.sensors.sensor_nodes import Due, rate_setting, time_us
 
 RATES = st.floats(0.1, 50.0)

@@ -8,9 +8,9 @@ import struct
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot.commander.commander import Result
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.streams.telemetry import Telemetry
+from xtdrone_autopilot.commander.commander import Result
+from xtdrone_autopilot.mavlink.streams.telemetry import Telemetry
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 
 BOOTED_US = 2_000_000

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import StartPose
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.fleet import StartPose
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.physics.bodies.obstacles import Obstacles
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, FREE, PLANT, TOUCHING
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Sphere
 from xtdrone_sim.vehicles.vehicle_model import MODEL, load_vehicle
-from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+from xtdrone_worlds.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Sphere
+from xtdrone_worlds.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.sdf import SdfLink, SdfModel
 
 DT = 0.004
 

@@ -7,16 +7,16 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose, rotate
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose, rotate
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.rays.ray_bundles import MOST, ROWS, gather
 from xtdrone_sim.rays.scene import ActorInScene, RayScene, SceneAt, SceneError, cast
 from xtdrone_sim.rays.surfaces import of_triangles, surfaces_of
 from xtdrone_sim.rays.tree import build
-from xtdrone_sim.shapes.triangles import triangles_of
-from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Sphere, Visual
-from xtdrone_sim.worlds.sdf import SdfActor, SdfLink, SdfModel, load_world_file
+from xtdrone_worlds.shapes.triangles import triangles_of
+from xtdrone_worlds.shapes.visual import Box, Collision, Cylinder, Sphere, Visual
+from xtdrone_worlds.worlds.sdf import SdfActor, SdfLink, SdfModel, load_world_file
 
 TOLERANCE = 1e-9  # m
 

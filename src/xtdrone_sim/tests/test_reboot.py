@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.autopilot.navigator.plan import PlanItem
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.navigator import plan
+from xtdrone_autopilot.navigator.plan import PlanItem
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.poses import Pose
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.poses import Pose
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
-from xtdrone_sim.shapes.triangles import MeshError, read_obj, triangles_of
-from xtdrone_sim.shapes.visual import Box, Cylinder, Mesh, Sphere, Visual
-from xtdrone_sim.worlds.sdf import Light
+from xtdrone_worlds.shapes.triangles import MeshError, read_obj, triangles_of
+from xtdrone_worlds.shapes.visual import Box, Cylinder, Mesh, Sphere, Visual
+from xtdrone_worlds.worlds.sdf import Light
 
 SKY = Light(direction=(0.2, -0.3, -1.0), diffuse=(0.6, 0.6, 0.6), ambient=(0.4, 0.4, 0.4), background=(0.6, 0.8, 1.0))
 SKY_RGB = [153, 204, 255]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import StartPose, parse_fleet
+from xtdrone_common import modes
+from xtdrone_common.fleet import StartPose, parse_fleet
 from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.simulation import Simulation
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 
 FLEET = parse_fleet("iris:2")

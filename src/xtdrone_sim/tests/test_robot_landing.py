@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control import modes
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose
 from xtdrone_sim.robots.wheel_drives import drive_of
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds.robots.robot_model import load_robot
+from xtdrone_worlds.worlds.robots.robot_model import load_robot
 
 UNSET = (math.nan, math.nan, math.nan)
 STEP_US = 20_000

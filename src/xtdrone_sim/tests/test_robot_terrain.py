@@ -11,22 +11,22 @@ import pytest
 from test_robots import DT, drive
 from test_terrain_and_models import ramp, yaml_world
 
-from xtdrone_control.fleet import StartPose, parse_fleet
-from xtdrone_control.poses import Pose, compose, inverse
-from xtdrone_control.rotation import from_euler, rotate
+from xtdrone_common.fleet import StartPose, parse_fleet
+from xtdrone_common.poses import Pose, compose, inverse
+from xtdrone_common.rotation import from_euler, rotate
 from xtdrone_sim.physics.contacts.start_collisions import StartError, check_height
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.solid_ground import SolidGround, shapes_of
 from xtdrone_sim.robots.wheel_drives import Drive, drive_of
-from xtdrone_sim.shapes.visual import Box
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.robots.list_of_robots import parse_robots
-from xtdrone_sim.worlds.robots.robot_model import load_robot
-from xtdrone_sim.worlds.robots.robot_urdf import urdf_of, wheel_frames, wheel_joints
-from xtdrone_sim.worlds.sdf import load_world_file
-from xtdrone_sim.worlds.urdf import read_urdf
+from xtdrone_worlds.shapes.visual import Box
+from xtdrone_worlds.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.robots.list_of_robots import parse_robots
+from xtdrone_worlds.worlds.robots.robot_model import load_robot
+from xtdrone_worlds.worlds.robots.robot_urdf import urdf_of, wheel_frames, wheel_joints
+from xtdrone_worlds.worlds.sdf import load_world_file
+from xtdrone_worlds.worlds.urdf import read_urdf
 
 
 def slope(angle: float) -> SolidGround:

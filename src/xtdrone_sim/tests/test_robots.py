@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import StartPose
-from xtdrone_control.poses import Pose, compose
-from xtdrone_control.rotation import from_euler, yaw_of
-from xtdrone_sim.descriptions import ModelError
+from xtdrone_common.fleet import StartPose
+from xtdrone_common.poses import Pose, compose
+from xtdrone_common.rotation import from_euler, yaw_of
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.scene import RayScene, SceneAt
 from xtdrone_sim.robots.wheel_drives import Ackermann, Differential, Drive, drive_of
-from xtdrone_sim.shapes.visual import Box, Collision
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.robots.list_of_robots import parse_robots
-from xtdrone_sim.worlds.robots.robot_model import load_robot, robot_types
-from xtdrone_sim.worlds.robots.robot_settings import AckermannLimits, DifferentialLimits
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+from xtdrone_worlds.descriptions import ModelError
+from xtdrone_worlds.shapes.visual import Box, Collision
+from xtdrone_worlds.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.robots.list_of_robots import parse_robots
+from xtdrone_worlds.worlds.robots.robot_model import load_robot, robot_types
+from xtdrone_worlds.worlds.robots.robot_settings import AckermannLimits, DifferentialLimits
+from xtdrone_worlds.worlds.sdf import SdfLink, SdfModel
 
 DT = 0.004
 

@@ -7,8 +7,8 @@ from functools import partial
 
 import pytest
 
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.programs.node_command_line import LEAST_SPEED
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.programs.node_command_line import LEAST_SPEED
 from xtdrone_sim.autopilots.builtin_autopilot import BuiltinAutopilot
 from xtdrone_sim.runtime import full_simulation
 from xtdrone_sim.runtime.requests.control_services import target_speed

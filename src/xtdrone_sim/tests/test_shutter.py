@@ -15,8 +15,8 @@ from geometry_msgs.msg import Point, Quaternion
 from geometry_msgs.msg import Pose as PoseMessage
 from xtdrone_msgs.msg import SceneState
 
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.rotation import from_euler, yaw_of
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.rotation import from_euler, yaw_of
 from xtdrone_sim.cameras.camera_worker import DrawingProcess, Drawn
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.cameras.shutter import RecentScenes, exposure_times, mean_of, middle_us

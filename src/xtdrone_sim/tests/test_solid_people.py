@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.physics.bodies.solid_people import RADIUS
 from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.robots.wheel_drives import drive_of
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds.robots.robot_model import load_robot
+from xtdrone_worlds.worlds.robots.robot_model import load_robot
 
 WORLD = """<sdf version="1.6"><world name="w">
 <actor name="walker"><pose>0 0 0 0 0 0</pose><skin><filename>adam</filename></skin>

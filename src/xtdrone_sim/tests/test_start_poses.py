@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import parse_fleet, with_poses
-from xtdrone_control.rotation import to_euler
-from xtdrone_sim.descriptions import ModelError
+from xtdrone_common.fleet import parse_fleet, with_poses
+from xtdrone_common.rotation import to_euler
 from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.simulation import Simulation
+from xtdrone_worlds.descriptions import ModelError
 
 MODELS = """<sdf version="1.6"><world name="w">
 <model name="tower"><static>true</static><pose>10 0 1 0 0 0</pose><link name="l"><collision name="c"><geometry>

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
 from xtdrone_sim.rays.scene import SceneAt
-from xtdrone_sim.shapes.visual import Box, Collision, Visual
-from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.sdf import Light, SdfLink, SdfModel, read_world, world_file
+from xtdrone_worlds.shapes.visual import Box, Collision, Visual
+from xtdrone_worlds.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.sdf import Light, SdfLink, SdfModel, read_world, world_file
 
 EYE = "eye::link"
 ABOVE = SceneAt({EYE: Pose((0.0, 0.0, 30.0), from_euler(0.0, 0.5 * math.pi, 0.0))}, {})  # north is to the left

@@ -10,20 +10,20 @@ import pytest
 import trimesh
 from PIL import Image
 
-from xtdrone_control.fleet import StartPose
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.fleet import StartPose
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.cameras.drawn_scene import ground_level
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.shapes.visual import Mesh
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.sdf import SdfError, SdfWorld, load_world_file, read_world, write_world
-from xtdrone_sim.worlds.sdf.geometries import heightmaps
-from xtdrone_sim.worlds.sdf.geometries.heightmaps import read_heightmap
-from xtdrone_sim.worlds.sdf.geometries.mesh_files import MOST_TRIANGLES, check_wavefront, read_mesh
-from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
+from xtdrone_worlds.shapes.visual import Mesh
+from xtdrone_worlds.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.sdf import SdfError, SdfWorld, load_world_file, read_world, write_world
+from xtdrone_worlds.worlds.sdf.geometries import heightmaps
+from xtdrone_worlds.worlds.sdf.geometries.heightmaps import read_heightmap
+from xtdrone_worlds.worlds.sdf.geometries.mesh_files import MOST_TRIANGLES, check_wavefront, read_mesh
+from xtdrone_worlds.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 SIDE = 65
 SIZE = (64.0, 64.0, 8.0)

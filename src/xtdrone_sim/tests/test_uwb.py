@@ -7,12 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler, rotate_inverse
-from xtdrone_sim.descriptions import ModelError
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler, rotate_inverse
 from xtdrone_sim.rays.scene import RayScene, SceneAt
-from xtdrone_sim.shapes.visual import Box, Visual
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.uwb.line_of_sight import Moment, Sights
 from xtdrone_sim.uwb.ranging import Neighbours, find_neighbours, measure_ranges, neighbours_of
@@ -20,7 +18,9 @@ from xtdrone_sim.vehicles.mounts.body_sensors import UwbMount, read_uwb
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Antenna, antennas_of
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
+from xtdrone_worlds.descriptions import ModelError
+from xtdrone_worlds.shapes.visual import Box, Visual
+from xtdrone_worlds.worlds.sdf import SdfLink, SdfModel
 
 N = 20_000
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 from graph_of_nodes import Graph, needs_ros, read_notes, run_ticks, running_graph, running_server, wait_for_nodes
 
-from xtdrone_control import lockstep
-from xtdrone_control.lockstep.server import LockstepServer
+import xtdrone_lockstep as lockstep
+from xtdrone_lockstep.server import LockstepServer
 
 try:
     import rospy

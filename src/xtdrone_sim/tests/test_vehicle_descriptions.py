@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 import yaml
 
-from xtdrone_control import modes
-from xtdrone_control.autopilot.state import FAILURE_OFF
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.poses import Pose, compose, inverse, rotate
-from xtdrone_control.rotation import from_euler
-from xtdrone_sim.data_files import data_path
-from xtdrone_sim.descriptions import ModelError, available, read_description
-from xtdrone_sim.shapes.visual import Box, Cylinder
+from xtdrone_autopilot.state import FAILURE_OFF
+from xtdrone_common import modes
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.poses import Pose, compose, inverse, rotate
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.urdf import UrdfError, parse_urdf
+from xtdrone_worlds.data_files import data_path
+from xtdrone_worlds.descriptions import ModelError, available, read_description
+from xtdrone_worlds.shapes.visual import Box, Cylinder
+from xtdrone_worlds.worlds.urdf import UrdfError, parse_urdf
 
 TYPHOON = "typhoon_h480"
 DUMB_BELL = """<robot name="dumb-bell">

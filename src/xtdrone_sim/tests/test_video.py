@@ -19,7 +19,7 @@ from graph_of_nodes import Graph, needs_ros, running_graph, wait_until
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 
 try:
     import rospy

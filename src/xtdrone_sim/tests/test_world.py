@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import StartPose
-from xtdrone_sim.descriptions import ModelError
+from xtdrone_common.fleet import StartPose
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, FREE, TOUCHING
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_worlds.descriptions import ModelError
+from xtdrone_worlds.worlds.catalogue import load_world
 
 DT = 0.004
 

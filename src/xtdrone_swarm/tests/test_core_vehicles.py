@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from xtdrone_control.fleet import FleetError
-from xtdrone_control.lockstep.protocol import Schedule
+from xtdrone_common.fleet import FleetError
+from xtdrone_lockstep.protocol import Schedule
 from xtdrone_swarm.full_vehicles import CoreVehicles
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.programs.user_classes import load_class
+from xtdrone_common.programs.user_classes import load_class
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import CommandError, Leader
 from xtdrone_coordination.patterns import PatternError, Patterns

@@ -10,12 +10,12 @@ import pytest
 
 from xtdrone_control.communication.commands import MultirotorCore
 from xtdrone_control.communication.setpoint import IGNORE_POSITION
-from xtdrone_sim.descriptions import ModelError
 from xtdrone_swarm import Model
 from xtdrone_swarm.full_vehicles import CoreVehicles
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles, spawn_places
 from xtdrone_swarm.simplified.vehicle_parameters import load_model
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY
+from xtdrone_worlds.descriptions import ModelError
 
 HIGH = [[0.0, 0.0, 100.0]]
 PLAIN = Model(delay=0.0, delay_vertical=0.0, acceleration=math.inf, acceleration_vertical=math.inf)

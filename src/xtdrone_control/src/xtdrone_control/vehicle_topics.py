@@ -25,9 +25,9 @@ from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from xtdrone_control import lockstep
-from xtdrone_control.pose_history import PoseHistory
-from xtdrone_control.pose_messages import pose_entry
+import xtdrone_lockstep as lockstep
+from xtdrone_common.pose_history import PoseHistory
+from xtdrone_common.pose_messages import pose_entry
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.known_swarm_state import SwarmState
 
 if TYPE_CHECKING:
-    from xtdrone_control import lockstep
+    import xtdrone_lockstep as lockstep
     from xtdrone_control.communication.multirotor import MultirotorCommunication
 
 _METHODS = (

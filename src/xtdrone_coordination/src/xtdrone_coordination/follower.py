@@ -25,7 +25,7 @@ from typing import Literal
 
 from numpy.typing import ArrayLike
 
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_coordination.known_swarm_state import SwarmState, as_vector
 from xtdrone_coordination.laws import formation_avoidance
 from xtdrone_coordination.laws.consensus import Peer, Vector, acceleration_law, clip, critical_damping, velocity_law

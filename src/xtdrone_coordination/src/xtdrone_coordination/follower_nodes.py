@@ -34,10 +34,8 @@ from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
 from numpy.typing import ArrayLike
 from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray
 
-from xtdrone_control import lockstep
-from xtdrone_control.communication.commands import CommandSettings
-from xtdrone_control.communication.multirotor import MultirotorCommunication
-from xtdrone_control.programs.node_command_line import (
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import (
     ArgumentError,
     check_multirotor,
     fleet_of,
@@ -45,8 +43,10 @@ from xtdrone_control.programs.node_command_line import (
     parse_ids,
     run_program,
 )
-from xtdrone_control.programs.user_classes import load_class, nothing_overridden
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.programs.user_classes import load_class, nothing_overridden
+from xtdrone_common.settings import Settings, setting
+from xtdrone_control.communication.commands import CommandSettings
+from xtdrone_control.communication.multirotor import MultirotorCommunication
 from xtdrone_coordination.compiled_follower import CompiledFollower, is_stock
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
 from xtdrone_coordination.known_swarm_state import STATE_FIELDS, ArraySwarm, SwarmState, number_list

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.communication.commands import OWN_COMMANDS, PX4_MODES
-from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import RATE
 from xtdrone_coordination.known_swarm_state import SwarmState, number_list
 from xtdrone_coordination.laws import formation_avoidance

@@ -11,10 +11,10 @@ import rospy
 from geometry_msgs.msg import PoseStamped, Twist
 from std_msgs.msg import Float32MultiArray, Int32MultiArray, MultiArrayDimension, String
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import ArgumentError, run_program
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.communication.setpoint import yaw_of
-from xtdrone_control.programs.node_command_line import ArgumentError, run_program
-from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import RATE
 from xtdrone_coordination.follower_nodes import (
     PATTERN_TOPIC,

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.fleet import (
+from xtdrone_common.fleet import (
     INSTANCE_STEP,
     MAX_INSTANCE,
     MAX_VEHICLES,
@@ -25,9 +25,9 @@ from xtdrone_control.fleet import (
     check_instance,
     parse_fleet,
 )
-from xtdrone_control.programs.node_command_line import ArgumentError
-from xtdrone_control.programs.user_classes import load_class
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.programs.node_command_line import ArgumentError
+from xtdrone_common.programs.user_classes import load_class
+from xtdrone_common.settings import Settings, setting
 from xtdrone_coordination.patterns import Patterns, absolute_name
 from xtdrone_interaction.recording.topics import ORIGIN
 
@@ -258,8 +258,8 @@ def world(text: str) -> str:
     Raises:
         OptionError: there is no such world, or its file is invalid.
     """
-    from xtdrone_sim.descriptions import ModelError  # the reader of worlds is slow to import
-    from xtdrone_sim.worlds.catalogue import is_known, known_names, load_world
+    from xtdrone_worlds.descriptions import ModelError
+    from xtdrone_worlds.worlds.catalogue import is_known, known_names, load_world
 
     name = text if is_known(text) else str(Path(text).expanduser().absolute())
     if any(c.isspace() for c in name):

@@ -26,7 +26,7 @@ def run_reported(action: Callable[[], int]) -> int:
     Returns:
         Its exit status; 2 for an invalid value, 1 for another error.
     """
-    from xtdrone_control.fleet import FleetError
+    from xtdrone_common.fleet import FleetError
     from xtdrone_coordination.patterns import PatternError
     from xtdrone_interaction.command_options import OptionError
     from xtdrone_interaction.launching.supervised_launch import DemoError

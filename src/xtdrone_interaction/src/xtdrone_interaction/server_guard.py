@@ -14,8 +14,8 @@ import socket
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from xtdrone_control.files import shortened
-from xtdrone_control.settings import setting
+from xtdrone_common.files import shortened
+from xtdrone_common.settings import setting
 
 if TYPE_CHECKING:
     from tornado.httputil import HTTPHeaders

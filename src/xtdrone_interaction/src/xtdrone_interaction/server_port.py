@@ -9,8 +9,8 @@ import rosgraph
 import rospy
 from tornado.httpserver import HTTPServer
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import FleetError, check_instance, instance_port
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import FleetError, check_instance, instance_port
 from xtdrone_sim.runtime.other_simulator import answers
 
 _INSTANCE = "/xtdrone/instance"

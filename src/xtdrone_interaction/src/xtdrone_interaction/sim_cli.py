@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.programs.node_command_line import speed_setting
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.programs.node_command_line import speed_setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction.simulation_services import RUNS, SimError, call, choose_master, find_service, master_uri
 
 _MOST_TICKS = (1 << 32) - 1

@@ -25,11 +25,11 @@ from gazebo_msgs.msg import LinkStates
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
 from mavros_msgs.msg import MountControl
 
-from xtdrone_control import lockstep
-from xtdrone_control.cameras.camera_pose import camera_link_pose
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.pose_messages import is_pose
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.cameras.camera_pose import camera_link_pose
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.pose_messages import is_pose
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
 
 RATE = 30.0  # Hz

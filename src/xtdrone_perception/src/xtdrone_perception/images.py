@@ -11,9 +11,9 @@ import rospy
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import ScanError, image_rows
-from xtdrone_control.lockstep.deferred_work import Deferred
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import ScanError, image_rows
+from xtdrone_lockstep.deferred_work import Deferred
 
 _CHANNELS = {"rgb8": 3, "bgr8": 3, "mono8": 1}
 

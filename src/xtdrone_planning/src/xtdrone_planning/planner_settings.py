@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 
 Array = NDArray[np.float64]
 

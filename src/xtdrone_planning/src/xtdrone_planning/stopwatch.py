@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from xtdrone_control.files import write_whole
+from xtdrone_common.files import write_whole
 
 
 class Stopwatch:

@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.programs.user_classes import import_user_module
+from xtdrone_common.programs.user_classes import import_user_module
 from xtdrone_sim.physics.vehicle_dynamics import (
     ABSENT,
     ASLEEP,

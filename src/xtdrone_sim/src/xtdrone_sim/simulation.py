@@ -12,10 +12,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
-from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.fleet import StartPose, Vehicle, place_ids, start_poses, vehicle_named
-from xtdrone_control.rotation import Vector
+from xtdrone_autopilot.autopilot import STEP_US, Autopilot
+from xtdrone_autopilot.commander.commander import Commander
+from xtdrone_common.fleet import StartPose, Vehicle, place_ids, start_poses, vehicle_named
+from xtdrone_common.rotation import Vector
 from xtdrone_sim.autopilots.builtin_autopilot import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.physics.bodies.solid_people import SolidPeople
 from xtdrone_sim.physics.contacts.start_collisions import StartError
@@ -25,8 +25,8 @@ from xtdrone_sim.sensors.vehicles_and_people_below import Others
 from xtdrone_sim.steps_in_free_flight import FreeFlight
 from xtdrone_sim.vehicles.gimbals_and_landing_gears import Gimbals, LandingGears
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
-from xtdrone_sim.worlds.actors import actors_of
-from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.actors import actors_of
+from xtdrone_worlds.worlds.catalogue import load_world
 
 from .effects import Effect, Effects
 
@@ -71,7 +71,7 @@ class Simulation:
         """Place the fleet on the ground.
 
         Args:
-            fleet: see ``xtdrone_control.fleet.parse_fleet``.
+            fleet: see ``xtdrone_common.fleet.parse_fleet``.
             rows: number of vehicles side by side on the spawn grid.
             world: name or file, see ``catalogue.find_world``.
             seed: seed of all sensor noise.

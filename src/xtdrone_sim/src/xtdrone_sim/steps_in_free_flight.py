@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
-from xtdrone_control.autopilot.autopilot import step_vehicle as control
-from xtdrone_control.autopilot.state import N_STATES
+from xtdrone_autopilot.autopilot import STEP_US, Autopilot
+from xtdrone_autopilot.autopilot import step_vehicle as control
+from xtdrone_autopilot.state import N_STATES
 from xtdrone_sim.kernel import kernel, kernel_for_threads, kernel_that_allocates
 from xtdrone_sim.physics.contacts.contact_states import CHECK_STEPS, sort_contacts
 from xtdrone_sim.physics.vehicle_dynamics import ASLEEP, TOUCHING, rotor_lag

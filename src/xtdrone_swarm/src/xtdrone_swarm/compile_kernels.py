@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from xtdrone_control.autopilot.state import FAILURE_SLOW
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_autopilot.state import FAILURE_SLOW
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_swarm import NetworkOptions, Swarm

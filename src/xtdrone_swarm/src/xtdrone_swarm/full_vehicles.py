@@ -16,16 +16,16 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from xtdrone_control import frames, modes
-from xtdrone_control.autopilot.commander.commander import Result
+from xtdrone_autopilot.commander.commander import Result
+from xtdrone_autopilot.mavlink.commands.setpoint_conversion import local_target
+from xtdrone_common import frames, modes
+from xtdrone_common.fleet import MAX_VEHICLES, FleetError, parse_fleet
+from xtdrone_common.modes import PX4_MODES
+from xtdrone_common.rotation import yaws_of
 from xtdrone_control.communication.commands import HOVER_SPEED, OWN_COMMANDS, CommandRequest, MultirotorCore
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint
-from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
-from xtdrone_control.lockstep.protocol import Schedule
-from xtdrone_control.mavlink.commands.setpoint_conversion import local_target
-from xtdrone_control.modes import PX4_MODES
-from xtdrone_control.rotation import yaws_of
 from xtdrone_coordination.patterns import origin_columns
+from xtdrone_lockstep.protocol import Schedule
 from xtdrone_sim.simulation import Simulation
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
 

@@ -1,9 +1,9 @@
-"""``@kernel`` for the inner loops of this package; see ``xtdrone_control.kernel_cache``."""
+"""``@kernel`` for the inner loops of this package; see ``xtdrone_common.kernel_cache``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from xtdrone_control import kernel_cache
+from xtdrone_common import kernel_cache
 
 kernel = kernel_cache.compiler(Path(__file__).resolve().parent)

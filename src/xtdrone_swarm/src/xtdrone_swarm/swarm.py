@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
 from xtdrone_coordination.laws.topology import unreachable
 from xtdrone_coordination.leader import Leader, LeaderOptions, number_list
 from xtdrone_coordination.network import NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns
+from xtdrone_lockstep.protocol import Schedule
 from xtdrone_swarm.followers import FollowerGroup
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles, spawn_places
 from xtdrone_swarm.simplified.vehicle_parameters import Model

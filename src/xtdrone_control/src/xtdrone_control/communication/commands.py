@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from xtdrone_common.modes import PX4_MODES
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.communication.setpoint import (
     LARGEST,
     Setpoint,
@@ -19,8 +21,6 @@ from xtdrone_control.communication.setpoint import (
     velocity_setpoint,
     yaw_of,
 )
-from xtdrone_control.modes import PX4_MODES
-from xtdrone_control.settings import Settings, setting
 
 OWN_COMMANDS = ("ARM", "DISARM", "HOVER")
 

@@ -29,10 +29,10 @@ from mavros_msgs.msg import PositionTarget, State
 from mavros_msgs.srv import CommandBool, SetMode
 from std_msgs.msg import String
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_control.communication.commands import HOVER_SPEED, CommandRequest, MultirotorCore, Steady
 from xtdrone_control.communication.setpoint import Setpoint, Vector
-from xtdrone_control.ros_codec import compile_class
+from xtdrone_lockstep.ros_codec import compile_class
 
 RATE = 30  # Hz
 _ANSWER_LIMIT = 100.0  # s of wall time; a MAVROS layer that hangs is dropped by the simulator earlier than this

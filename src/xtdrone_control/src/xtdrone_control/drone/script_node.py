@@ -19,11 +19,11 @@ from geometry_msgs.msg import TwistStamped
 from mavros_msgs.msg import State, StatusText, SysStatus
 from sensor_msgs.msg import BatteryState
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import FleetError, parse_fleet
 from xtdrone_control.communication.commands import CommandRequest, MultirotorCore
 from xtdrone_control.communication.multirotor import RATE, MavrosLink
-from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_control.lockstep import future_name
+from xtdrone_lockstep import future_name
 
 from .drones import Drone, DroneGroup
 from .verbs import DroneError, GroupError, Steps, Verbs

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.settings import SettingError, Settings, setting
 
 RATE = 30  # turns per second, Hz: of the followers and their samples
 

@@ -29,10 +29,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import Float64MultiArray
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet, run_program
 from xtdrone_control.network.message_radio import MessageRadio
 from xtdrone_control.network.network_options import NetworkOptions
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet, run_program
 
 RATE = 50.0  # Hz
 USAGE = "radio.py   (parameters: ~topics, ~seed, ~range, ~delay, ~jitter, ~loss, ~burst, ~bandwidth, ~queue)"

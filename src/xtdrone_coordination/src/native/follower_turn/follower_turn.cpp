@@ -10,8 +10,8 @@
 namespace xtdrone_coordination::follower_turn {
 namespace {
 
-using xtdrone_control::Messages;
-using xtdrone_control::Publication;
+using xtdrone_lockstep::Messages;
+using xtdrone_lockstep::Publication;
 using xtdrone_control::VelocityCommands;
 
 enum Received { PATTERN, TOPOLOGY, STATES, STATE, POSE, COMMAND, RECEIVED };

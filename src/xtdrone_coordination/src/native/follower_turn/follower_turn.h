@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "xtdrone_control/turn_program.h"
+#include "xtdrone_lockstep/turn_program.h"
 #include "xtdrone_control/velocity_commands.h"
 #include "xtdrone_coordination/avoidance.h"
 #include "xtdrone_coordination/consensus.h"
@@ -38,7 +38,7 @@ struct State {
 /// Topics, in this order. Received: pattern, topology, states of all vehicles, mavros/state, own pose, velocity
 /// command. Published: setpoint, if the vehicle's commands are carried out here; velocity command; avoidance, if it is
 /// on.
-class FollowerTurn : public xtdrone_control::TurnProgram {
+class FollowerTurn : public xtdrone_lockstep::TurnProgram {
  public:
   FollowerTurn(std::size_t id, const Settings& settings, std::vector<Vector> offsets,
                std::vector<Neighbour> neighbours);
@@ -50,8 +50,8 @@ class FollowerTurn : public xtdrone_control::TurnProgram {
   /// @param state  Other states of mavros/state are left to Python; nullopt: all.
   void carryOut(const xtdrone_control::VelocityCommands& commands, std::optional<State> state);
 
-  bool turn(std::int64_t time_us, const std::vector<xtdrone_control::Messages>& received,
-            std::vector<xtdrone_control::Publication>& published) override;
+  bool turn(std::int64_t time_us, const std::vector<xtdrone_lockstep::Messages>& received,
+            std::vector<xtdrone_lockstep::Publication>& published) override;
 
   /// Number of turns run.
   std::uint64_t turns = 0;
@@ -64,11 +64,11 @@ class FollowerTurn : public xtdrone_control::TurnProgram {
   Vector avoidance{};
 
  private:
-  bool hear(const std::vector<xtdrone_control::Messages>& received);
+  bool hear(const std::vector<xtdrone_lockstep::Messages>& received);
   bool hearStates(std::string_view message);
   bool hearState(std::string_view message) const;
   bool hearPose(std::string_view message);
-  bool hearCommands(const xtdrone_control::Messages& messages, double now);
+  bool hearCommands(const xtdrone_lockstep::Messages& messages, double now);
   bool compute();
 
   std::size_t id_;

@@ -18,7 +18,7 @@ namespace nb = nanobind;
 namespace xtdrone_coordination::follower_turn {
 namespace {
 
-using xtdrone_control::TurnProgram;
+using xtdrone_lockstep::TurnProgram;
 using xtdrone_control::VelocityCommands;
 
 std::string toString(const nb::bytes& bytes) { return std::string(bytes.c_str(), bytes.size()); }
@@ -44,13 +44,13 @@ void carryOut(FollowerTurn& turn, double hover_speed, double timeout, bool hover
 /// Run a turn with the messages of each topic; return the packet of each published topic, None if Python has to run it.
 nb::object take(FollowerTurn& turn, std::int64_t time_us, const std::vector<std::vector<nb::bytes>>& received,
                 const std::vector<std::uint32_t>& sequences) {
-  std::vector<xtdrone_control::Messages> messages(received.size());
+  std::vector<xtdrone_lockstep::Messages> messages(received.size());
   for (std::size_t i = 0; i < received.size(); ++i) {
     for (const nb::bytes& message : received[i]) {
       messages[i].emplace_back(message.c_str(), message.size());
     }
   }
-  std::vector<xtdrone_control::Publication> published(sequences.size());
+  std::vector<xtdrone_lockstep::Publication> published(sequences.size());
   for (std::size_t i = 0; i < sequences.size(); ++i) {
     published[i].sequence = sequences[i];
   }

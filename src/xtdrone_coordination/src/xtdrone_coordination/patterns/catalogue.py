@@ -26,7 +26,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from xtdrone_control import files
+from xtdrone_common import files
 
 from .clouds import cloud
 from .generated import FAMILIES, SHAPES

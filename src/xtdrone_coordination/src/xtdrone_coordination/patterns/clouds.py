@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from xtdrone_control import files
-from xtdrone_control.files import ContentError
+from xtdrone_common import files
+from xtdrone_common.files import ContentError
 from xtdrone_coordination.patterns.slot_offsets_and_spacing import ALL_AS_HIGH, Points, choose_leader, farthest
 
 from .slot_offsets_and_spacing import Offsets, PatternError, rescaled

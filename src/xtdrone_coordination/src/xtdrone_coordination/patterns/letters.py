@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control import files
+from xtdrone_common import files
 from xtdrone_coordination.patterns.slot_offsets_and_spacing import ALL_AS_HIGH, Points, choose_leader, farthest
 
 from .slot_offsets_and_spacing import Offsets, PatternError, rescaled

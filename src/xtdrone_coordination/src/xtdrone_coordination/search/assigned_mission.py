@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.autopilot.navigator.plan import Items
-from xtdrone_control.geodesy.projection import Datum
+from xtdrone_autopilot.navigator import plan
+from xtdrone_autopilot.navigator.plan import Items
+from xtdrone_common.geodesy.projection import Datum
 
 from .planning.coverage_path import Point, Waypoint
 from .planning.plans import waypoint_item

@@ -9,7 +9,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
-from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_common.cameras.pinhole import Pinhole
 
 from .planning.coverage_path import PERSON
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
-from xtdrone_control.autopilot.navigator.plan import Items
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.geodesy.projection import Datum
+from xtdrone_autopilot.navigator.plan import Items
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.geodesy.projection import Datum
 
 from .conclusion import Conclusion
 from .coverage_map import CoverageMap

@@ -43,14 +43,14 @@ from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Bool, Int32, String
 from xtdrone_msgs.msg import ObjectsOnGround
 
-from xtdrone_control import lockstep
-from xtdrone_control.autopilot.navigator.plan import Items, PlanItem
-from xtdrone_control.cameras.camera_pose import rotation_matrix
-from xtdrone_control.cameras.pinhole import Pinhole
+import xtdrone_lockstep as lockstep
+from xtdrone_autopilot.navigator.plan import Items, PlanItem
+from xtdrone_common.cameras.camera_pose import rotation_matrix
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.geodesy.projection import Datum
+from xtdrone_common.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_common.programs.under_roslaunch import end_launch
 from xtdrone_control.communication.setpoint import yaw_of
-from xtdrone_control.geodesy.projection import Datum
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet
-from xtdrone_control.programs.under_roslaunch import end_launch
 
 from .coverage_map import CoverageGrid
 from .mission_control import SearchMission

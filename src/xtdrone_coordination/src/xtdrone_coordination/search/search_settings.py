@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 
 ON_FIND = ("hold", "return", "continue")
 

@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from xtdrone_control.autopilot.navigator.plan import Items
-from xtdrone_control.geodesy.projection import Datum
+from xtdrone_autopilot.navigator.plan import Items
+from xtdrone_common.geodesy.projection import Datum
 
 from .assigned_mission import AssignedMission
 from .people.candidates import Candidate, Evidence

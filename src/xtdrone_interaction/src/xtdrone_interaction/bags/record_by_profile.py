@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.files import ContentError, load_yaml, read_text
+from xtdrone_common.files import ContentError, load_yaml, read_text
 from xtdrone_interaction import command_options, simulation_services
 from xtdrone_interaction.command_options import OptionError
 

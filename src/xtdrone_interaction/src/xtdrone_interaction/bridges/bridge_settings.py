@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import rosgraph
 import rospy
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
 from xtdrone_interaction.bridges.ros_publications import Publications
 from xtdrone_interaction.bridges.ros_services import Services

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from xtdrone_control.fleet import COMMAND_TOPICS
+from xtdrone_common.fleet import COMMAND_TOPICS
 
 ESTIMATES = (
     ("attitude_status_flag", 1, "attitude"),

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
-from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_common.programs.plain_node import init_plain_node
 from xtdrone_interaction.doctor.findings import ESTIMATES, SETPOINT_TOPICS, Vehicle
 
 _PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK

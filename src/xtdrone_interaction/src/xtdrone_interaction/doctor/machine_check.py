@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from xtdrone_control.fleet import GCS_REMOTE_PORT, MAX_INSTANCE, OFFBOARD_PORTS, PX4, Vehicle, parse_fleet
+from xtdrone_common.fleet import GCS_REMOTE_PORT, MAX_INSTANCE, OFFBOARD_PORTS, PX4, Vehicle, parse_fleet
 from xtdrone_interaction.doctor.findings import Finding, listed
 
 _OURS = ("simulator.py", "mavros_node.py", "simplified_simulator")

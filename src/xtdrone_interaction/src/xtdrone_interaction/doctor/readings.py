@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
+from xtdrone_common.fleet import FleetError, check_instance, parse_fleet
 from xtdrone_interaction.doctor.findings import ESTIMATES, Check, Simulator, Vehicle
 from xtdrone_interaction.doctor.graph import Master
 from xtdrone_interaction.simulation_services import SimError, call

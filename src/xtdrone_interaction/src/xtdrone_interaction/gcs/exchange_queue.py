@@ -12,8 +12,8 @@ from typing import Any, Generic, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavlink.wire.codec import decoder
-from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_autopilot.mavlink.wire.codec import decoder
+from xtdrone_autopilot.mavlink.wire.dialect import MESSAGE_ID
 
 from .exchanges import exchange
 from .exchanges.exchange import Exchange, Heartbeat, Presence, RefusalError, Unanswered

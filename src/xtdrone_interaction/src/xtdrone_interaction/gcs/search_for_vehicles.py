@@ -10,9 +10,9 @@ from collections.abc import Collection
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.fleet import MAX_VEHICLES
-from xtdrone_control.mavlink.wire.codec import FrameError, split
-from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_autopilot.mavlink.wire.codec import FrameError, split
+from xtdrone_autopilot.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_common.fleet import MAX_VEHICLES
 
 from .exchanges import exchange
 from .station import TIMEOUT, GroundStation

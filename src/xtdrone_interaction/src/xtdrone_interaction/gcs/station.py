@@ -22,8 +22,8 @@ from typing import Any, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavlink.wire.codec import FrameError, split
-from xtdrone_control.plans.qgc_plan import Plan
+from xtdrone_autopilot.mavlink.wire.codec import FrameError, split
+from xtdrone_autopilot.plans.qgc_plan import Plan
 from xtdrone_interaction.gcs.exchange_queue import AbortMessages, Contact, Job, QueuedExchange
 
 from .exchanges import exchange

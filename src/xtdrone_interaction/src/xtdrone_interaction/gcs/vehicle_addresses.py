@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from xtdrone_control.fleet import MAX_VEHICLES, Vehicle, parse_fleet
+from xtdrone_common.fleet import MAX_VEHICLES, Vehicle, parse_fleet
 
 LOOPBACK = "127.0.0.1"
 SCHEMES = ("udpout", "udpin", "tcp", "serial")

@@ -8,7 +8,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control import modes
+from xtdrone_common import modes
 
 TELEMETRY = (
     "HEARTBEAT",

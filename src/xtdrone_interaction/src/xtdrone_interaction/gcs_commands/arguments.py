@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from xtdrone_control.fleet import MAX_INSTANCE, FleetError, parse_fleet
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.fleet import MAX_INSTANCE, FleetError, parse_fleet
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction.gcs import search_for_vehicles, station
 from xtdrone_interaction.gcs.exchange_queue import AbortMessages, Job
 from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat, Progress

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction.gcs.exchanges import commands_and_refusals
 from xtdrone_interaction.gcs.exchanges.commands_and_refusals import Target
 from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat

@@ -10,8 +10,8 @@ from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 
-from xtdrone_control.autopilot.parameters import former_parameters
-from xtdrone_control.autopilot.parameters.parameter_file import (
+from xtdrone_autopilot.parameters import former_parameters
+from xtdrone_autopilot.parameters.parameter_file import (
     SUFFIX,
     ParameterFile,
     ParameterFileError,
@@ -21,7 +21,7 @@ from xtdrone_control.autopilot.parameters.parameter_file import (
     shown,
     write,
 )
-from xtdrone_control.autopilot.parameters.parameters import INDEX, describe
+from xtdrone_autopilot.parameters.parameters import INDEX, describe
 from xtdrone_interaction.gcs.exchanges import parameters
 from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat
 from xtdrone_interaction.gcs.vehicle_addresses import GcsError, Peer

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.settings import SettingError
+from xtdrone_common.settings import SettingError
 from xtdrone_interaction import simulation_services
 from xtdrone_interaction.gcs.vehicle_addresses import GcsError
 from xtdrone_planning.planner_settings import GoalError, PlannerSettings
@@ -43,7 +43,7 @@ def send_goals(goals: Mapping[str, Goal], master: str = "") -> dict[str, GcsErro
         raise GcsError(str(error)) from error
     os.environ["ROS_MASTER_URI"] = uri
 
-    from xtdrone_control.programs.plain_node import init_plain_node
+    from xtdrone_common.programs.plain_node import init_plain_node
 
     try:
         subscribers = _subscribers()

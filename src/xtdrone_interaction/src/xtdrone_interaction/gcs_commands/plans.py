@@ -15,12 +15,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
-from xtdrone_control.autopilot.navigator.feasibility import Situation
-from xtdrone_control.autopilot.parameters import parameter_file
-from xtdrone_control.geodesy import projection
-from xtdrone_control.plans import qgc_plan
-from xtdrone_control.plans.qgc_plan import Plan, PlanError
+from xtdrone_autopilot.navigator import feasibility, geofence, plan
+from xtdrone_autopilot.navigator.feasibility import Situation
+from xtdrone_autopilot.parameters import parameter_file
+from xtdrone_autopilot.plans import qgc_plan
+from xtdrone_autopilot.plans.qgc_plan import Plan, PlanError
+from xtdrone_common.geodesy import projection
 from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 from xtdrone_interaction.gcs.exchanges.exchange import Exchange, Heartbeat, Progress
 from xtdrone_interaction.gcs.exchanges.plans import KINDS

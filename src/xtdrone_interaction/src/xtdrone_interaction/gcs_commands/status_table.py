@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction.gcs.exchanges.exchange import request_state
 from xtdrone_interaction.gcs.station import GroundStation
 from xtdrone_interaction.gcs.vehicle_addresses import GcsError

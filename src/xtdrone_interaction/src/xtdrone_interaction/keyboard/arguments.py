@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
-from xtdrone_control.programs.node_command_line import ArgumentError, check_multirotor, parse_count
+from xtdrone_common.fleet import FleetError, Vehicle, parse_fleet
+from xtdrone_common.programs.node_command_line import ArgumentError, check_multirotor, parse_count
 
 USAGE = "multirotor_keyboard_control.py TYPE NUM [vel|accel]   (or TYPE:NUM,TYPE:NUM,... [vel|accel])"
 MODES = ("vel", "accel")

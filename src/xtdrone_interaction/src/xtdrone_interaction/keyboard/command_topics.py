@@ -8,7 +8,7 @@ import rospy
 from geometry_msgs.msg import Twist
 from std_msgs.msg import String
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 
 from .key_bindings import Setpoint
 

@@ -37,8 +37,8 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from mavros_msgs.msg import State
 from rosgraph.roslogging import RosStreamHandler
 
-from xtdrone_control.programs.node_command_line import ArgumentError, fleet_of, run_program
-from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_common.programs.node_command_line import ArgumentError, fleet_of, run_program
+from xtdrone_common.programs.plain_node import init_plain_node
 from xtdrone_coordination.patterns import PatternError, Patterns
 
 from .arguments import USAGE, Request, parse_arguments

@@ -15,8 +15,8 @@ from typing import Any
 
 from rich.console import Console
 
-from xtdrone_control.fleet import INSTANCE_STEP, FleetError, instance_port
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.fleet import INSTANCE_STEP, FleetError, instance_port
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError, parse_instance
 from xtdrone_interaction.console import PatientConsole

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.fleet import (
+from xtdrone_common.fleet import (
     SPAWNED,
     XTDRONE,
     Vehicle,

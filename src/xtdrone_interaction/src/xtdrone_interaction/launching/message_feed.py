@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
-from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_common.programs.plain_node import init_plain_node
 from xtdrone_interaction.launching.process_tree import die_with_parent
 
 ANSWER_LIMIT = 3.0  # s for a master to answer one call

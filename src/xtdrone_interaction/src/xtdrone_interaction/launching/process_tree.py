@@ -45,7 +45,7 @@ def _prctl(option: int, value: int) -> None:
 
 _IMPORTED_AHEAD = (
     "xtdrone_sim.runtime.full_simulation",
-    "xtdrone_control.mavros.mavros_node",
+    "xtdrone_mavros.mavros_node",
     "xtdrone_control.communication.multirotor",
     "xtdrone_coordination.follower",
 )

@@ -22,7 +22,7 @@ from typing import Any
 
 from rich.console import Console
 
-from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
+from xtdrone_common.fleet import GCS_REMOTE_PORT, instance_port
 from xtdrone_interaction.command_options import OptionError, check_master_port, free_port, repository
 from xtdrone_interaction.launching.message_feed import Feed, answers
 from xtdrone_interaction.launching.process_tree import ProcessTree, roslaunch_words

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from rich.console import Console
 
-from xtdrone_control.files import write_whole
-from xtdrone_control.programs.node_command_line import speed_setting
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.files import write_whole
+from xtdrone_common.programs.node_command_line import speed_setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import MachineSettings, OptionError, seed_setting, web_setting
 from xtdrone_interaction.launching.flown_script import fly_script

@@ -14,9 +14,9 @@ import rospy
 import yaml
 from std_msgs.msg import String
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.programs.under_roslaunch import end_launch
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import parse_fleet
+from xtdrone_common.programs.under_roslaunch import end_launch
 from xtdrone_interaction.recording.flight_events import EVENTS_FILE, EventsFile
 from xtdrone_interaction.recording.topics import EVENTS_TOPIC, PROGRESS_TOPIC
 

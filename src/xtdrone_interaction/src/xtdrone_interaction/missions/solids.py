@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.poses import Pose, compose, rotate
-from xtdrone_sim.shapes.visual import Box, Cylinder, Mesh, Sphere
-from xtdrone_sim.worlds.sdf import SdfModel
+from xtdrone_common.poses import Pose, compose, rotate
+from xtdrone_worlds.shapes.visual import Box, Cylinder, Mesh, Sphere
+from xtdrone_worlds.worlds.sdf import SdfModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,7 +80,7 @@ def solids_of_world(world: str) -> list[Solid]:
     Raises:
         ValueError: no such world, or one that cannot be used.
     """
-    from xtdrone_sim.worlds.catalogue import load_world  # slow to import
+    from xtdrone_worlds.worlds.catalogue import load_world
 
     return solids_of(load_world(world).models)[0]
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.metrics.odometry_errors import Trajectory
 from xtdrone_sim.rays.scene import RayScene
 from xtdrone_sim.rays.surface_points import distances_from, points_on
 from xtdrone_sim.vehicles.mounts.fleet_sensor import lidars_of
-from xtdrone_sim.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.catalogue import load_world
 
 Array = NDArray[np.float64]
 

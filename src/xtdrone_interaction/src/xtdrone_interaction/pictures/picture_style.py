@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from xtdrone_control.files import replacing
+from xtdrone_common.files import replacing
 from xtdrone_interaction.recording.series_in_bounded_memory import Array
 
 _POINTS = 4000  # drawn per line; longer lines are reduced to the minimum and maximum of each part

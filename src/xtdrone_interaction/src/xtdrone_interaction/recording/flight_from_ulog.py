@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyulog import ULog
 
-from xtdrone_control import modes
-from xtdrone_control.rotation import to_eulers
+from xtdrone_common import modes
+from xtdrone_common.rotation import to_eulers
 from xtdrone_interaction.recording.series_in_bounded_memory import Array, Series, armed_span
 
 NAMELESS = "vehicle"

@@ -12,7 +12,7 @@ import jinja2
 from rich.console import Console
 from rich.markup import escape
 
-from xtdrone_control.files import write_whole
+from xtdrone_common.files import write_whole
 from xtdrone_interaction.pictures.picture_style import NamedFigure, save_figures
 from xtdrone_interaction.report.report_json import write_report
 from xtdrone_interaction.report.report_tables import ReportTable, print_table

@@ -9,7 +9,7 @@ import platform
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.files import write_whole
+from xtdrone_common.files import write_whole
 
 _PACKAGES = ("numpy", "scipy", "numba", "pybullet", "pymavlink", "rosbags", "matplotlib")
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from xtdrone_control.cameras.camera_pose import rotation_matrix
+from xtdrone_common.cameras.camera_pose import rotation_matrix
 
 Array = NDArray[np.float64]
 Place = tuple[float, float, float]

@@ -18,18 +18,18 @@ from std_msgs.msg import Float32MultiArray, Int32MultiArray, String
 from visualization_msgs.msg import MarkerArray
 from xtdrone_msgs.msg import ObjectsOnGround, SceneModels
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.poses import Pose
-from xtdrone_control.programs.node_command_line import check_no_arguments, needed_fleet
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.poses import Pose
+from xtdrone_common.programs.node_command_line import check_no_arguments, needed_fleet
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction.recording.distances import offsets_from_message
 from xtdrone_interaction.recording.topics import PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.view_configurations import FOR_MARKERS
 from xtdrone_interaction.rviz.world_markers import WorldMarkers
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds.sdf import load_world_file, read_world
+from xtdrone_worlds.worlds.sdf import load_world_file, read_world
 
 NAME = "swarm_markers"
 TOPIC = "/xtdrone/markers"

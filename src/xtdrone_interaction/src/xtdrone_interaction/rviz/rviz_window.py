@@ -10,7 +10,7 @@ from pathlib import Path
 import rospkg
 import rospy
 
-from xtdrone_control.programs.node_command_line import ArgumentError, needed_fleet
+from xtdrone_common.programs.node_command_line import ArgumentError, needed_fleet
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.rviz.view_configurations import SHIPPED, make_view
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle

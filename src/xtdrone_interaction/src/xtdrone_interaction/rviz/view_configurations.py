@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.command_options import OptionError, repository
 

@@ -25,13 +25,13 @@ from PIL import Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from xtdrone_control.poses import Pose, compose
-from xtdrone_sim.data_files import cached_folder
-from xtdrone_sim.shapes.triangles import triangles_of, write_obj
-from xtdrone_sim.shapes.visual import Box, Colour, Cylinder, Geometry, Mesh, Sphere, Visual
-from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.people_meshes import Person
-from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
+from xtdrone_common.poses import Pose, compose
+from xtdrone_worlds.data_files import cached_folder
+from xtdrone_worlds.shapes.triangles import triangles_of, write_obj
+from xtdrone_worlds.shapes.visual import Box, Colour, Cylinder, Geometry, Mesh, Sphere, Visual
+from xtdrone_worlds.worlds import people_meshes
+from xtdrone_worlds.worlds.people_meshes import Person
+from xtdrone_worlds.worlds.sdf import SdfModel, SdfWorld
 
 MODELS, PEOPLE = "world", "people"
 _STANDS = 0.02  # m between two updates; a person that moves less counts as standing

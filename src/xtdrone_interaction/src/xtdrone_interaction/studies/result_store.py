@@ -19,7 +19,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from xtdrone_control.files import replacing
+from xtdrone_common.files import replacing
 from xtdrone_interaction.studies.study_parameters import StudyError
 
 FORMAT = 2  # of runs.sqlite

@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.files import BoundedLoader, ContentError, load_yaml, read_text
-from xtdrone_control.settings import SettingError, check_choice
+from xtdrone_common.files import BoundedLoader, ContentError, load_yaml, read_text
+from xtdrone_common.settings import SettingError, check_choice
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.studies import study_parameters, user_code

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_coordination.follower import FollowerOptions
 from xtdrone_coordination.leader import LeaderOptions
 from xtdrone_coordination.network import NetworkOptions

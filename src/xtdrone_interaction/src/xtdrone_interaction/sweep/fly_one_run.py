@@ -30,6 +30,9 @@ _SOURCE = "truth (in one process)"
 _LISTENING = 1.0  # s in the air before the first pattern
 _MOST_ERROR = 500  # characters of an error message
 
+QUIET_PACKAGES = ("xtdrone_coordination", "xtdrone_sim", "xtdrone_control", "xtdrone_autopilot", "xtdrone_common")
+"""Packages whose warnings a run does not show."""
+
 
 def fly_batch(common: Mapping[str, Any], tasks: Sequence[Mapping[str, Any]]) -> list[Row]:
     """Fly several runs and return their rows in the same order.
@@ -193,7 +196,7 @@ def _describe_end(record: FormationRecord) -> str:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Silence the warnings of thousands of flights; their causes show in the figures."""
-    loggers = [logging.getLogger(name) for name in ("xtdrone_coordination", "xtdrone_sim", "xtdrone_control")]
+    loggers = [logging.getLogger(name) for name in QUIET_PACKAGES]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
         logger.setLevel(logging.CRITICAL)

@@ -21,8 +21,8 @@ import pyarrow.parquet as pq
 from rich.console import Console
 from rich.markup import escape
 
-from xtdrone_control.files import shortened
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.files import shortened
+from xtdrone_common.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import cli, command_options
 from xtdrone_interaction.console import PatientConsole

@@ -11,7 +11,7 @@ from typing import Any
 import genpy
 import rospy
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_interaction.topics.discovery import MasterError, read_topics
 
 _CONNECT_LIMIT = 2.0  # s of wall time for the subscribers to connect

@@ -18,7 +18,7 @@ import genpy
 import genpy.dynamic
 import roslib.message
 
-from xtdrone_control.ros_codec import compile_class
+from xtdrone_lockstep.ros_codec import compile_class
 
 TYPE_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*", re.ASCII)
 """Name of a message or service type."""

@@ -19,7 +19,7 @@ from typing import Any
 import genmsg.msgs
 import genpy
 
-from xtdrone_control.files import shortened
+from xtdrone_common.files import shortened
 from xtdrone_interaction.topics.field_paths import FLOATS, INTEGERS, TIMES
 from xtdrone_interaction.topics.message_classes import class_of_field
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from xtdrone_control.files import shortened
+from xtdrone_common.files import shortened
 
 LONGEST_NAME = 255
 """Characters of a name."""

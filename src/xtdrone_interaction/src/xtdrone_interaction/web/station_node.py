@@ -14,8 +14,8 @@ import rosgraph
 import rospy
 from tornado.ioloop import IOLoop
 
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
-from xtdrone_control.programs.plain_node import init_plain_node
+from xtdrone_common.programs.node_command_line import ArgumentError, check_no_arguments
+from xtdrone_common.programs.plain_node import init_plain_node
 from xtdrone_interaction.ending import end_within_limit
 from xtdrone_interaction.server_guard import is_loopback
 from xtdrone_interaction.server_port import check_not_running, port_here

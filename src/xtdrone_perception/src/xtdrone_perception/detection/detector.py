@@ -17,8 +17,8 @@ import numpy as np
 import rospkg
 from numpy.typing import NDArray
 
-from xtdrone_control.files import ContentError, load_yaml, read_bytes, read_text
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.files import ContentError, load_yaml, read_bytes, read_text
+from xtdrone_common.settings import SettingError, Settings, setting
 
 from .output_layouts import LAYOUTS, LayoutError, check_layout, check_metadata, check_scale, decode, find_layout
 

@@ -40,14 +40,14 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Bool
 from xtdrone_msgs.msg import ObjectOnGround, ObjectsOnGround
 
-from xtdrone_control import lockstep
-from xtdrone_control.cameras.camera_pose import CameraPose, camera_link_pose, optical_pose
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.pose_history import PoseHistory
-from xtdrone_control.pose_messages import is_pose
-from xtdrone_control.programs.node_command_line import ArgumentError
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.cameras.camera_pose import CameraPose, camera_link_pose, optical_pose
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.pose_history import PoseHistory
+from xtdrone_common.pose_messages import is_pose
+from xtdrone_common.programs.node_command_line import ArgumentError
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_perception.images import Picture, PictureNode, PictureVehicle, picture_of
 from xtdrone_perception.tracking.geolocation import Geolocator, Noise, Person, View

@@ -26,9 +26,9 @@ from mavros_msgs.msg import MountControl
 from std_msgs.msg import Int32, String
 from xtdrone_msgs.msg import ObjectsOnGround
 
-from xtdrone_control import lockstep
-from xtdrone_control.rotation import yaw_of
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.rotation import yaw_of
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
 
 from .person_following import ANY, FOLLOWING, FollowCommand, Following, FollowSettings, SeenTrack

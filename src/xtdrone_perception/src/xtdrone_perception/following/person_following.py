@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from xtdrone_control.rotation import wrap_pi_by_remainder
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.rotation import wrap_pi_by_remainder
+from xtdrone_common.settings import Settings, setting
 
 Vector = tuple[float, float, float]
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_perception.localisation.first_fix import Ranges, first_fix
 
 Array = NDArray[np.float64]

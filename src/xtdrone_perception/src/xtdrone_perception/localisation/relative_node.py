@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 from std_msgs.msg import Float64MultiArray
 from xtdrone_msgs.msg import RelativeRanges
 
-from xtdrone_control import lockstep
-from xtdrone_control.cameras.camera_pose import rotation_matrix
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.cameras.camera_pose import rotation_matrix
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_perception.localisation.relative_filter import FilterSettings, RelativeFilter
 

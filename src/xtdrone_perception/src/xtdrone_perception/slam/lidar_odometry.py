@@ -20,9 +20,9 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.clouds import PointScan
-from xtdrone_control.pose_matrices import pose_of
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.clouds import PointScan
+from xtdrone_common.pose_matrices import pose_of
+from xtdrone_common.settings import Settings, setting
 
 from .deskewing import ScanMotion, deskew
 from .odometry_health import Estimate, weakest_share, without_registration

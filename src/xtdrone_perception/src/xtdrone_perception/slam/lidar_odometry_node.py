@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import PointScan, cloud_message, read_cloud
-from xtdrone_control.pose_matrices import pose_of
-from xtdrone_control.settings import setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import PointScan, cloud_message, read_cloud
+from xtdrone_common.pose_matrices import pose_of
+from xtdrone_common.settings import setting
 
 from .deskewing import ScanMotion
 from .lidar_odometry import LidarOdometry, Registration, RegistrationOptions

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.pose_matrices import angle_between, distance_between
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.pose_matrices import angle_between, distance_between
+from xtdrone_common.settings import Settings, setting
 
 Array = NDArray[np.float64]
 

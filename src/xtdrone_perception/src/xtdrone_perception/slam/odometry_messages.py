@@ -14,7 +14,7 @@ from rospy import Time
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control.pose_messages import pose_message, transform_message
+from xtdrone_common.pose_messages import pose_message, transform_message
 
 from .odometry_health import Estimate, Health, OdometryState
 

@@ -36,14 +36,14 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control import lockstep
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.pose_history import PoseHistory
-from xtdrone_control.pose_matrices import pose_of, predicted_pose, rotation_of, turned_about_z, yaw_of
-from xtdrone_control.pose_messages import stamped_pose, transform_message
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.pose_history import PoseHistory
+from xtdrone_common.pose_matrices import pose_of, predicted_pose, rotation_of, turned_about_z, yaw_of
+from xtdrone_common.pose_messages import stamped_pose, transform_message
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
+from xtdrone_lockstep.deferred_work import Deferred
 
 from . import odometry_messages as messages
 from .deskewing import ScanMotion, motion_of

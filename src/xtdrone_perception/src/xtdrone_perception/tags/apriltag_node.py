@@ -32,14 +32,14 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control import lockstep
-from xtdrone_control.cameras.camera_pose import CameraPose
-from xtdrone_control.files import ContentError
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.pose_history import PoseHistory
-from xtdrone_control.programs.node_command_line import ArgumentError
-from xtdrone_control.settings import SettingError, Settings, setting
-from xtdrone_control.tag_boards import TagBoard, boards_of
+import xtdrone_lockstep as lockstep
+from xtdrone_common.cameras.camera_pose import CameraPose
+from xtdrone_common.files import ContentError
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.pose_history import PoseHistory
+from xtdrone_common.programs.node_command_line import ArgumentError
+from xtdrone_common.settings import SettingError, Settings, setting
+from xtdrone_common.tag_boards import TagBoard, boards_of
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_perception.images import Picture, PictureNode, PictureVehicle, grey_of
 from xtdrone_perception.tags.tag_detector import SeenTag, TagDetector, TagDetectorSettings

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control import rotation
-from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL, CameraPose, rotation_matrix
-from xtdrone_control.rotation import Quaternion, Vector
-from xtdrone_control.settings import SettingError
-from xtdrone_control.tag_boards import Tag, TagBoard
+from xtdrone_common import rotation
+from xtdrone_common.cameras.camera_pose import LINK_FROM_OPTICAL, CameraPose, rotation_matrix
+from xtdrone_common.rotation import Quaternion, Vector
+from xtdrone_common.settings import SettingError
+from xtdrone_common.tag_boards import Tag, TagBoard
 from xtdrone_perception.tags.tag_detector import SeenTag
 
 Array = NDArray[np.float64]

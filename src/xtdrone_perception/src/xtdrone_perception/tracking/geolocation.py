@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.cameras.camera_pose import rotation_matrix
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.settings import Settings, check_range, setting
+from xtdrone_common.cameras.camera_pose import rotation_matrix
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.settings import Settings, check_range, setting
 
 Array = NDArray[np.float64]
 Ground = Callable[[float, float], float]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.settings import SettingError, Settings, setting
 
 from .geolocation import GroundPoint
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from xtdrone_msgs.msg import RegionShare
 
-from xtdrone_control.clouds import points_of
-from xtdrone_control.rotation import yaw_of
+from xtdrone_common.clouds import points_of
+from xtdrone_common.rotation import yaw_of
 from xtdrone_planning.exploration.floor_map import FREE, OCCUPIED, OCCUPIED_FROM, UNKNOWN, Cells, FloorMap
 from xtdrone_planning.exploration.shared_regions import Share
 from xtdrone_planning.mapping.map_messages import grid_message

@@ -34,8 +34,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from xtdrone_msgs.msg import RegionShare, SharedFloor
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import ScanError
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import ScanError
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.exploration.choice_of_frontier import HOME, STRANDED, Decision, Explorer
 from xtdrone_planning.exploration.exploration_messages import (

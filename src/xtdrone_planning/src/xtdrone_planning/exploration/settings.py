@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.settings import SettingError, Settings, setting
 
 _MOST_CELLS = 4_000_000
 """Larger floors are rejected: their maps would exhaust memory and radio bandwidth."""

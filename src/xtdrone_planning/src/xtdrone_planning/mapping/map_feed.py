@@ -21,10 +21,10 @@ import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import ScanError, depths_of, points_of
-from xtdrone_control.pose_history import PoseHistory
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import ScanError, depths_of, points_of
+from xtdrone_common.pose_history import PoseHistory
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.mapping.range_images import DepthImages, DepthMapping, LidarImages, LidarMapping, RangeImage
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.clouds import ScanError
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.clouds import ScanError
+from xtdrone_common.settings import Settings, setting
 from xtdrone_planning.mapping.range_image_kernels import fill_image, take_rays
 
 Array = NDArray[np.float64]

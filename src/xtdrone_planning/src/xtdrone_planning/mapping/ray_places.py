@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control import rotation_kernels
-from xtdrone_control.pose_history import PoseHistory
+from xtdrone_common import rotation_kernels
+from xtdrone_common.pose_history import PoseHistory
 from xtdrone_planning.kernel import kernel
 from xtdrone_planning.mapping.range_images import RangeImage
 

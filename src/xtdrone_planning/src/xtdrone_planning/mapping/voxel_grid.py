@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.pose_history import PoseHistory
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.pose_history import PoseHistory
+from xtdrone_common.settings import Settings, setting
 from xtdrone_planning.mapping.distance_field import distance_field
 from xtdrone_planning.mapping.range_images import RangeImage
 from xtdrone_planning.mapping.ray_casting import cast_rays, free_sphere

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.pose_matrices import inverse, pose_of, transform_points, turned_about_z, yaw_of
+from xtdrone_common.pose_matrices import inverse, pose_of, transform_points, turned_about_z, yaw_of
 from xtdrone_planning.merging.settings import LinkSettings, NotMergedError
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from xtdrone_control.pose_matrices import transform_points
+from xtdrone_common.pose_matrices import transform_points
 from xtdrone_planning.merging.frame_links import Link, Pairs, link_of
 from xtdrone_planning.merging.map_registration import Fit, Surfaces, fit_of, surfaces_of
 from xtdrone_planning.merging.settings import FitSettings, LinkSettings, NotMergedError

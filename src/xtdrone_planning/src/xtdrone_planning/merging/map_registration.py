@@ -13,7 +13,7 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from xtdrone_control.pose_matrices import transform_points
+from xtdrone_common.pose_matrices import transform_points
 from xtdrone_planning.merging.frame_links import Link
 from xtdrone_planning.merging.settings import FitSettings, NotMergedError
 

@@ -32,12 +32,12 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import cloud_message, read_cloud
-from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.pose_history import PoseHistory
-from xtdrone_control.pose_messages import transform_message
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import cloud_message, read_cloud
+from xtdrone_common.pose_history import PoseHistory
+from xtdrone_common.pose_messages import transform_message
 from xtdrone_control.vehicle_topics import VehicleTopics
+from xtdrone_lockstep.deferred_work import Deferred
 from xtdrone_planning.merging.frame_links import Pairs
 from xtdrone_planning.merging.map_chain import Merged, Placed, merge_maps, merge_points
 from xtdrone_planning.merging.settings import FitSettings, LinkSettings, MergingOptions

@@ -16,7 +16,7 @@ from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
 from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseActionFeedback, MoveBaseActionGoal, MoveBaseActionResult
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_planning.navigation.settings import NavigationGoalError
 
 PENDING, ACTIVE, PREEMPTED, SUCCEEDED, ABORTED, REJECTED = range(6)

@@ -39,10 +39,10 @@ from nav_msgs.srv import GetPlanResponse
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 
-from xtdrone_control import lockstep
-from xtdrone_control.pose_history import PoseHistory
-from xtdrone_control.rotation import from_euler, yaw_of
-from xtdrone_control.settings import SettingError, Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.pose_history import PoseHistory
+from xtdrone_common.rotation import from_euler, yaw_of
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_control.vehicle_topics import VehicleReport
 from xtdrone_planning.mapping.map_messages import FRAME, grid_message
 from xtdrone_planning.mapping.sensor_watch import SensorWatch, WatchSettings

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.rotation import wrap_pi
+from xtdrone_common.rotation import wrap_pi
 from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion, arc, brake, choose, move_along_arc
 from xtdrone_planning.navigation.global_path import GlobalSearch, PathError
 from xtdrone_planning.navigation.level_map import LevelMap

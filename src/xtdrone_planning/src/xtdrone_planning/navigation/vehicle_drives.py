@@ -15,13 +15,13 @@ from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
+from xtdrone_common.pose_messages import pose_entry
+from xtdrone_common.rotation import constrain, multiply, rotate, yaw_of
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.communication.commands import CommandRequest
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_control.communication.setpoint import IGNORE_ACCELERATION, IGNORE_POSITION, IGNORE_YAW
-from xtdrone_control.pose_messages import pose_entry
-from xtdrone_control.rotation import constrain, multiply, rotate, yaw_of
-from xtdrone_control.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.navigation.dynamic_window import AT_REST, Motion
 

@@ -33,8 +33,8 @@ from octomap_msgs.srv import GetOctomap, GetOctomapResponse
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Empty, EmptyResponse
 
-from xtdrone_control import lockstep
-from xtdrone_control.settings import SettingError, Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_control.vehicle_topics import VehicleReport
 from xtdrone_planning.mapping.map_feed import MapFeed, SensorSettings
 from xtdrone_planning.mapping.sensor_watch import SensorWatch

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.files import read_bytes
-from xtdrone_control.settings import SettingError
+from xtdrone_common.files import read_bytes
+from xtdrone_common.settings import SettingError
 from xtdrone_planning.kernel import kernel
 from xtdrone_planning.octree.octree_kernels import HALF
 from xtdrone_planning.octree.octree_map import NEVER, morton

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.pose_history import PoseHistory
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.pose_history import PoseHistory
+from xtdrone_common.settings import Settings, setting
 from xtdrone_planning.mapping.range_images import RangeImage
 from xtdrone_planning.mapping.ray_places import rays_in_map
 from xtdrone_planning.octree.octree_kernels import HALF, OFFSET, SIDE, UNKNOWN, VOXELS, enter_rays

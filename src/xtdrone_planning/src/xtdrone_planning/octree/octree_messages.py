@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from octomap_msgs.msg import Octomap
 from sensor_msgs.msg import PointCloud2
 
-from xtdrone_control.clouds import cloud_message
+from xtdrone_common.clouds import cloud_message
 from xtdrone_planning.mapping.map_messages import grid_message
 from xtdrone_planning.octree.octree_format import Octree, OctreeError, count_nodes
 from xtdrone_planning.octree.octree_kernels import HALF, SIDE

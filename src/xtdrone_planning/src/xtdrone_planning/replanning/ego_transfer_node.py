@@ -24,10 +24,10 @@ from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3
 from mavros_msgs.msg import PositionTarget
 from quadrotor_msgs.msg import PositionCommand
 
-from xtdrone_control import lockstep
-from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
-from xtdrone_control.rotation import multiply
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.cameras.camera_pose import LINK_FROM_OPTICAL
+from xtdrone_common.rotation import multiply
+from xtdrone_common.settings import Settings, setting
 
 RATE = 60.0  # Hz
 

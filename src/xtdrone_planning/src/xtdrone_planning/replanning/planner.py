@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, nullcontext
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.rotation import wrap_pi
+from xtdrone_common.rotation import wrap_pi
 from xtdrone_planning.mapping.voxel_grid import VoxelGrid
 from xtdrone_planning.paths.grid_search import BLOCKED, REACHED
 from xtdrone_planning.paths.local_path import LocalPath, PathQuery, PathSearch, Search, nearest_clear

@@ -41,12 +41,12 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Empty, String
 from xtdrone_msgs.msg import SplineTrajectory
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import cloud_message
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import cloud_message
+from xtdrone_common.rotation import yaw_of
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.communication.commands import CommandRequest
 from xtdrone_control.communication.multirotor import MavrosServices
-from xtdrone_control.rotation import yaw_of
-from xtdrone_control.settings import Settings, setting
 from xtdrone_control.vehicle_topics import VehicleReport, VehicleTopics
 from xtdrone_planning.mapping.map_feed import MapFeed, SensorSettings
 from xtdrone_planning.mapping.map_messages import FRAME, slice_at

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import rospy
 from xtdrone_msgs.msg import SplineTrajectory
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_planning.replanning.swarm_planner import Proposal, SwarmPlanner
 from xtdrone_planning.trajectories.splines.uniform_spline import UniformSpline
 from xtdrone_planning.trajectories.trajectory_messages import TrajectoryError, spline_message, spline_of

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from xtdrone_control.rotation_kernels import rotate
+from xtdrone_common.rotation_kernels import rotate
 from xtdrone_planning.kernel import kernel
 
 _AZIMUTHS, _HEIGHTS = 32, 16

@@ -41,10 +41,11 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 from xtdrone_msgs.msg import SafetyIntervention, SplineTrajectory
 
-from xtdrone_control import lockstep, rotation
-from xtdrone_control.clouds import ScanError, points_of
-from xtdrone_control.programs.node_command_line import ArgumentError, needed_fleet, run_program
-from xtdrone_control.programs.vehicle_program import run_node
+import xtdrone_lockstep as lockstep
+from xtdrone_common import rotation
+from xtdrone_common.clouds import ScanError, points_of
+from xtdrone_common.programs.node_command_line import ArgumentError, needed_fleet, run_program
+from xtdrone_control.vehicle_program import run_node
 from xtdrone_control.vehicle_topics import VehicleTopics
 from xtdrone_planning.safety.near_points import place_points, without_vehicles
 from xtdrone_planning.safety.setpoints import (

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from xtdrone_common.rotation import wrap_pi
 from xtdrone_control.communication.setpoint import (
     FRAME_BODY_NED,
     FRAME_BODY_OFFSET_NED,
@@ -19,7 +20,6 @@ from xtdrone_control.communication.setpoint import (
     Vector,
     yaw_of,
 )
-from xtdrone_control.rotation import wrap_pi
 
 _FORCE = 512
 _UNSET_FRAME = 0  # counts as LOCAL_NED in MAVROS

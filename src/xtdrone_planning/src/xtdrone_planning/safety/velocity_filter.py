@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_planning.kernel import kernel
 from xtdrone_planning.safety.half_spaces import nearest
 from xtdrone_planning.safety.near_points import SECTORS, nearest_by_sector

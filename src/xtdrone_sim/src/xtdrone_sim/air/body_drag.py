@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.rotation_kernels import rotate, rotate_inverse
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.rotation_kernels import rotate, rotate_inverse
+from xtdrone_common.settings import Settings, setting
 from xtdrone_sim.kernel import kernel
 
 from .wind import DENSITY

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 

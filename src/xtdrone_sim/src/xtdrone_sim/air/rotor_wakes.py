@@ -19,8 +19,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from xtdrone_control.rotation_kernels import rotate
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.rotation_kernels import rotate
+from xtdrone_common.settings import Settings, setting
 from xtdrone_sim.air.wind import DENSITY
 from xtdrone_sim.kernel import kernel
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.programs.user_classes import import_user_module
-from xtdrone_control.rotation_kernels import rotate, rotate_inverse
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.programs.user_classes import import_user_module
+from xtdrone_common.rotation_kernels import rotate, rotate_inverse
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_sim.kernel import kernel
 
 DENSITY = 1.225  # kg/m^3, standard atmosphere at sea level

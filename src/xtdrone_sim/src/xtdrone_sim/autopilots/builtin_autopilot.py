@@ -9,19 +9,19 @@ from typing import Protocol
 
 import numpy as np
 
-from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
-from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.logger.logger import Logger
-from xtdrone_control.autopilot.logger.mavlink_log_pieces import LogStream
-from xtdrone_control.autopilot.navigator.plan import Plans
-from xtdrone_control.autopilot.parameters.derived_records import geometry_parameters
-from xtdrone_control.autopilot.parameters.parameters import Parameters
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy.projection import Datum
+from xtdrone_autopilot.autopilot import STEP_US, Autopilot
+from xtdrone_autopilot.commander.commander import Commander
+from xtdrone_autopilot.logger.logger import Logger
+from xtdrone_autopilot.logger.mavlink_log_pieces import LogStream
+from xtdrone_autopilot.navigator.plan import Plans
+from xtdrone_autopilot.parameters.derived_records import geometry_parameters
+from xtdrone_autopilot.parameters.parameters import Parameters
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.geodesy.projection import Datum
 from xtdrone_sim.physics.battery_and_motor_currents import Batteries
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
-from xtdrone_sim.worlds.sdf import SdfWorld
+from xtdrone_worlds.worlds.sdf import SdfWorld
 
 COMMANDER_PERIOD_US = 100_000
 

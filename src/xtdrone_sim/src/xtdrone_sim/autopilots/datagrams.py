@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
-from xtdrone_control.mavlink.udp_port_and_clients import LOOPBACK
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_autopilot.mavlink.udp_port_and_clients import LOOPBACK
+from xtdrone_lockstep.server import LockstepServer
 
 LIMIT = 10.0  # wall s to wait for datagrams that a participant on this machine has reported as sent
 REMOTE_LIMIT = 0.25  # the same for a participant on another machine, because the network loses datagrams

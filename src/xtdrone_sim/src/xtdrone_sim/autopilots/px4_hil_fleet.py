@@ -24,16 +24,16 @@ from functools import partial
 
 import numpy as np
 
-from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
-from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.state import MAX_ROTORS
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy.projection import Datum
+from xtdrone_autopilot.autopilot import STEP_US, Autopilot
+from xtdrone_autopilot.commander.commander import Commander
+from xtdrone_autopilot.state import MAX_ROTORS
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.geodesy.projection import Datum
 from xtdrone_sim.autopilots.px4_hil_link import HilLink, Log
 from xtdrone_sim.autopilots.px4_hil_messages import Frames
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
-from xtdrone_sim.worlds.sdf import SdfWorld
+from xtdrone_worlds.worlds.sdf import SdfWorld
 
 DISARMED_LIMIT = 1.0
 """Longest wait for the answer of a disarmed PX4, wall s; the same as in Gazebo's plugin."""

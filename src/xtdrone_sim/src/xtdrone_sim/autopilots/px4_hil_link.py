@@ -10,8 +10,8 @@ import logging
 import socket
 from collections.abc import Callable
 
-from xtdrone_control.autopilot.autopilot import STEP_US
-from xtdrone_control.fleet import Vehicle
+from xtdrone_autopilot.autopilot import STEP_US
+from xtdrone_common.fleet import Vehicle
 from xtdrone_sim.autopilots.px4_hil_messages import Controls, Stream, TruthInterval
 
 Log = Callable[[int, str], None]

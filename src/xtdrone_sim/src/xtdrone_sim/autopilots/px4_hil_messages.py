@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.geodesy import projection
-from xtdrone_control.mavlink.streams.vehicle_state import EPOCH_US
-from xtdrone_control.mavlink.wire.codec import MESSAGE_ID, Decoder, FrameError, decoder, message_name
-from xtdrone_control.mavlink.wire.frame_packing import Format
+from xtdrone_autopilot.mavlink.streams.vehicle_state import EPOCH_US
+from xtdrone_autopilot.mavlink.wire.codec import MESSAGE_ID, Decoder, FrameError, decoder, message_name
+from xtdrone_autopilot.mavlink.wire.frame_packing import Format
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.geodesy import projection
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.world import World
 

@@ -26,7 +26,7 @@ import rospy
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 
-from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_common.cameras.pinhole import Pinhole
 from xtdrone_sim.cameras.cameras_of_fleet import Camera
 from xtdrone_sim.cameras.lens_and_noise import Exposure, noise_of, opencv
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount

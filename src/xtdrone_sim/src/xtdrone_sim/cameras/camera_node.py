@@ -28,10 +28,10 @@ import rospy
 from std_srvs.srv import SetBool, SetBoolResponse
 from xtdrone_msgs.msg import SceneModels, SceneState
 
-from xtdrone_control import lockstep
-from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.programs.node_command_line import ArgumentError
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import ArgumentError
+from xtdrone_common.settings import Settings, setting
+from xtdrone_lockstep.deferred_work import Deferred
 from xtdrone_sim.cameras.camera_messages import COSTLY, messages, topics_of
 from xtdrone_sim.cameras.camera_worker import Changes, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras_of_fleet import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate

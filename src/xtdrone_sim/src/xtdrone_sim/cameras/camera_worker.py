@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_sim.cameras.drawn_scene import DrawnScene, View
 from xtdrone_sim.cameras.rendering import Renderer, RendererError
 from xtdrone_sim.cameras.shutter import mean_of
 from xtdrone_sim.rays.scene import SceneAt
-from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
+from xtdrone_worlds.worlds.sdf import load_world_file, read_world, world_file
 
 _NAMES = {"egl": "pybullet's EGL renderer", "tiny": "pybullet's TinyRenderer"}
 _ATTEMPTS = 3  # consecutive processes that end without an image before drawing fails

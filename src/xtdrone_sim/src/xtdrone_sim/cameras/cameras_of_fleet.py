@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-from xtdrone_control.cameras import drawing_of
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.poses import Pose, compose
-from xtdrone_control.settings import check_range
+from xtdrone_common.cameras import drawing_of
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.poses import Pose, compose
+from xtdrone_common.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.vehicles.vehicle_model import CameraMount, load_vehicle
 

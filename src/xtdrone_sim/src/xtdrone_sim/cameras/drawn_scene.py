@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.poses import OPTICAL_FRAME, Pose, compose
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.poses import OPTICAL_FRAME, Pose, compose
 from xtdrone_sim.cameras.rendering import Picture, Renderer
 from xtdrone_sim.cameras.sun_shadows import SunShadows, darken
 from xtdrone_sim.rays.scene import ActorInScene, SceneAt
-from xtdrone_sim.shapes.visual import Box, Mesh, Visual
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, SdfWorld
-from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
+from xtdrone_worlds.shapes.visual import Box, Mesh, Visual
+from xtdrone_worlds.worlds import people_meshes
+from xtdrone_worlds.worlds.sdf import SdfActor, SdfModel, SdfWorld
+from xtdrone_worlds.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 _GROUND = Box((2000.0, 2000.0, 0.1))
 _GROUND_COLOUR = (0.45, 0.5, 0.4, 1.0)

@@ -10,8 +10,8 @@ import numpy as np
 import rospy
 from numpy.typing import NDArray
 
-from xtdrone_control.cameras import Lens, drawing_of
-from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_common.cameras import Lens, drawing_of
+from xtdrone_common.cameras.pinhole import Pinhole
 from xtdrone_sim.cameras.cameras_of_fleet import Camera
 
 Colours = NDArray[np.uint8]  # (height, width, 3) RGB

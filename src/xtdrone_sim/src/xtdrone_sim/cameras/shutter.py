@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from xtdrone_msgs.msg import SceneState
 
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import Quaternion, Vector
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import Quaternion, Vector
 from xtdrone_sim.rays.scene import ActorInScene, SceneAt
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import CameraMount
 

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.poses import Pose
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.poses import Pose
 from xtdrone_sim.rays.scene import RayScene, SceneAt
-from xtdrone_sim.shapes.triangles import rotation_matrix
-from xtdrone_sim.worlds.sdf import Light, SdfModel, SdfWorld
+from xtdrone_worlds.shapes.triangles import rotation_matrix
+from xtdrone_worlds.worlds.sdf import Light, SdfModel, SdfWorld
 
 _REACH = 300.0  # m from the camera to a surface, and from there to the object that casts a shadow
 _OFF = 0.03  # m from a surface at which its ray begins

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from xtdrone_control.poses import Pose, compose, conjugate, inverse, rotate
+from xtdrone_common.poses import Pose, compose, conjugate, inverse, rotate
 from xtdrone_sim.gazebo.models_in_requests import check_model
 from xtdrone_sim.gazebo.request_limits import MOST_ADDED, MOST_WRENCHES, RequestError, check_name, check_wrench, unknown
 from xtdrone_sim.gazebo.states import STANDING, State, in_world, part_of
@@ -18,7 +18,7 @@ from xtdrone_sim.physics.wrenches import Wrench
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.actor_topics import ActorTopics
 from xtdrone_sim.vehicles.link_poses import Links
-from xtdrone_sim.worlds.sdf import SdfJoint, SdfLink, SdfModel
+from xtdrone_worlds.worlds.sdf import SdfJoint, SdfLink, SdfModel
 
 Change = Callable[[], str]
 """A validated change: makes the change and returns a description of it."""

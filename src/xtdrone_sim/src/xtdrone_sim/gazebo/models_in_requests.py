@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from xtdrone_control.poses import Pose, compose
+from xtdrone_common.poses import Pose, compose
 from xtdrone_sim.gazebo.request_limits import FARTHEST, RequestError, check_vector
-from xtdrone_sim.worlds.sdf import SdfError, SdfLink, SdfModel, read_model
-from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
-from xtdrone_sim.worlds.sdf.models.rigid_links import is_possible
-from xtdrone_sim.worlds.urdf import Description, Inertial, UrdfError, parse_urdf
+from xtdrone_worlds.worlds.sdf import SdfError, SdfLink, SdfModel, read_model
+from xtdrone_worlds.worlds.sdf.geometries.visuals_and_collisions import box_of
+from xtdrone_worlds.worlds.sdf.models.rigid_links import is_possible
+from xtdrone_worlds.worlds.urdf import Description, Inertial, UrdfError, parse_urdf
 
 MOST_SHAPES = 256  # of a model
 _SIZES = (1e-3, 1e4)  # m, longest side of a shape

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from xtdrone_control.rotation import Quaternion, Vector
+from xtdrone_common.rotation import Quaternion, Vector
 
 FARTHEST = 1e5  # m, along each axis
 FASTEST = 1e3  # m/s and rad/s

@@ -7,10 +7,10 @@ from dataclasses import replace
 from gazebo_msgs.msg import LinkStates, ModelStates
 from xtdrone_msgs.msg import SceneModels, SceneState
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.states import pose_message, twist_message
-from xtdrone_sim.worlds.sdf import load_world_file, write_world
+from xtdrone_worlds.worlds.sdf import load_world_file, write_world
 
 TOPIC = "/xtdrone/models"
 

@@ -9,8 +9,8 @@ import numpy as np
 from geometry_msgs.msg import Point, Quaternion, Twist, Vector3
 from geometry_msgs.msg import Pose as PoseMessage
 
-from xtdrone_control.poses import Pose, compose, conjugate, inverse, rotate
-from xtdrone_control.rotation import Vector
+from xtdrone_common.poses import Pose, compose, conjugate, inverse, rotate
+from xtdrone_common.rotation import Vector
 from xtdrone_sim.gazebo.request_limits import FARTHEST, FASTEST, STRONGEST, check_quaternion, check_vector
 
 

@@ -30,10 +30,10 @@ import rospy
 from sensor_msgs.msg import LaserScan, PointCloud2
 from xtdrone_msgs.msg import SceneState
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.settings import Settings, setting
+from xtdrone_lockstep.deferred_work import Deferred
 from xtdrone_sim.lidars.lidar_messages import scan_message
 from xtdrone_sim.lidars.ray_patterns import read_pattern
 from xtdrone_sim.lidars.scan_measurement import Motion, Scan, begin_us, cast_scan, end_us, measure_scan

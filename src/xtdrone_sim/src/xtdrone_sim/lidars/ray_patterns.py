@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.files import read_text
+from xtdrone_common.files import read_text
 from xtdrone_sim.vehicles.mounts.lidar_mounts import MOST_RAYS, ROSETTE, LidarMount
 
 Array = NDArray[np.float64]

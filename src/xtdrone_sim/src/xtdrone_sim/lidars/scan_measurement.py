@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.poses import Pose
+from xtdrone_common.poses import Pose
 from xtdrone_sim.lidars.ray_patterns import Rays, rays_of
 from xtdrone_sim.rays.casting import PLACE, place_rays
 from xtdrone_sim.rays.scene import Hits, Layout, cast

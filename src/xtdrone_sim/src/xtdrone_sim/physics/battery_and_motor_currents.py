@@ -20,9 +20,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.autopilot.autopilot import Autopilot
-from xtdrone_control.autopilot.parameters.parameters import Parameters
-from xtdrone_control.autopilot.state import FAILURE_OFF, MAX_ROTORS
+from xtdrone_autopilot.autopilot import Autopilot
+from xtdrone_autopilot.parameters.parameters import Parameters
+from xtdrone_autopilot.state import FAILURE_OFF, MAX_ROTORS
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.vehicles.vehicle_model import BatteryModel

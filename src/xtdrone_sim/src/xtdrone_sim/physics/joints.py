@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.poses import Pose, compose, conjugate, inverse, rotate
-from xtdrone_control.rotation import Quaternion, Vector, multiply
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.poses import Pose, compose, conjugate, inverse, rotate
+from xtdrone_common.rotation import Quaternion, Vector, multiply
 from xtdrone_sim.physics.bodies.movable_bodies import Body
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
-from xtdrone_sim.worlds.sdf import SdfJoint
+from xtdrone_worlds.worlds.sdf import SdfJoint
 
 _HALF = 0.25  # m from a hinge's anchor to the points of its axis
 _STRONGEST = 1e6  # N, of a constraint

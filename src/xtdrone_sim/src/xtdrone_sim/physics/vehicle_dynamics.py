@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from xtdrone_control.autopilot.state import MAX_ROTORS
-from xtdrone_control.rotation_kernels import integrate, rotate, rotate_inverse
+from xtdrone_autopilot.state import MAX_ROTORS
+from xtdrone_common.rotation_kernels import integrate, rotate, rotate_inverse
 from xtdrone_sim.kernel import kernel
 
 FREE = 0  # integrated here

@@ -14,9 +14,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.fleet import StartPose
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import Quaternion, Vector
+from xtdrone_common.fleet import StartPose
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import Quaternion, Vector
 from xtdrone_sim.effects import Effects, drive_rotors, integrate_all
 from xtdrone_sim.physics import vehicle_dynamics as dynamics
 from xtdrone_sim.physics import wrenches
@@ -38,7 +38,7 @@ from xtdrone_sim.physics.joints import ModelJoint, swap_ends
 from xtdrone_sim.physics.quiet_pybullet import connect, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, ASLEEP, FARTHEST, FASTEST_TURN, LEAVING, LOST, PLANT, TOUCHING
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
-from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld
+from xtdrone_worlds.worlds.sdf import SdfModel, SdfWorld
 
 _NO_BODY = -1  # of an absent place
 

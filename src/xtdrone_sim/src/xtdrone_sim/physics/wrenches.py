@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.rotation import Vector
-from xtdrone_control.rotation_kernels import rotate_inverse
+from xtdrone_common.rotation import Vector
+from xtdrone_common.rotation_kernels import rotate_inverse
 from xtdrone_sim.physics.bodies.movable_bodies import Bodies
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from xtdrone_control.rotation_kernels import rotate, rotate_inverse
+from xtdrone_common.rotation_kernels import rotate, rotate_inverse
 from xtdrone_sim.kernel import kernel, kernel_for_threads, kernel_that_allocates, kernel_that_allocates_for_threads
 from xtdrone_sim.rays.ray_bundles import COSINE, MOST, RANGE, ROWS, X, Y, Z, approach, gather, nearest_of_bundle
 from xtdrone_sim.rays.tree import DEPTH, NOTHING, nearest, normal_at

@@ -8,10 +8,10 @@ import rospy
 from geometry_msgs.msg import Pose as PoseMessage
 from xtdrone_msgs.msg import SceneModels, SceneState
 
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.poses import Pose
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.poses import Pose
 from xtdrone_sim.rays.scene import ActorInScene, RayScene, SceneAt
-from xtdrone_sim.worlds.sdf import load_world_file, read_world, world_file
+from xtdrone_worlds.worlds.sdf import load_world_file, read_world, world_file
 
 
 class LiveRays:

@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.poses import Pose, compose
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.poses import Pose, compose
 from xtdrone_sim.rays.casting import PLACE, THING, cast_rays
 from xtdrone_sim.rays.surfaces import of_triangles, surfaces_of, visible_shapes, visible_shapes_of
 from xtdrone_sim.rays.tree import NOTHING, SURFACE, Trees, build, join_trees
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.sdf import SdfActor, SdfModel
+from xtdrone_worlds.worlds import people_meshes
+from xtdrone_worlds.worlds.sdf import SdfActor, SdfModel
 
 
 @dataclass(frozen=True)

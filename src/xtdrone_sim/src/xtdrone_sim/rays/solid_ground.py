@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.poses import Pose, compose
+from xtdrone_common.poses import Pose, compose
 from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.shapes.visual import Collision, Geometry, Mesh
-from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
-from xtdrone_sim.worlds.sdf.geometries.heightmaps import is_terrain
-from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
+from xtdrone_worlds.shapes.visual import Collision, Geometry, Mesh
+from xtdrone_worlds.worlds.sdf import SdfLink, SdfModel
+from xtdrone_worlds.worlds.sdf.geometries.heightmaps import is_terrain
+from xtdrone_worlds.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.poses import Pose, compose
+from xtdrone_common.poses import Pose, compose
 from xtdrone_sim.rays.tree import BOX, CYLINDER, SPHERE, SURFACE, TRIANGLE
-from xtdrone_sim.shapes.triangles import rotation_matrix, triangles_of
-from xtdrone_sim.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Sphere, Visual
-from xtdrone_sim.worlds.sdf import SdfModel
+from xtdrone_worlds.shapes.triangles import rotation_matrix, triangles_of
+from xtdrone_worlds.shapes.visual import Box, Collision, Cylinder, Geometry, Mesh, Sphere, Visual
+from xtdrone_worlds.worlds.sdf import SdfModel
 
 _OPAQUE = 0.5  # minimum opacity of a visual that rays see
 

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import Vector, from_euler, yaw_of
-from xtdrone_control.rotation_kernels import integrate, rotate, rotate_inverse
-from xtdrone_control.settings import SettingError
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import Vector, from_euler, yaw_of
+from xtdrone_common.rotation_kernels import integrate, rotate, rotate_inverse
+from xtdrone_common.settings import SettingError
 from xtdrone_sim.kernel import kernel
-from xtdrone_sim.worlds.robots.robot_settings import (
+from xtdrone_worlds.worlds.robots.robot_settings import (
     DENSITY,
     GRAVITY,
     BoatLimits,

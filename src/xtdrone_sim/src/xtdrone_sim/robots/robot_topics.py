@@ -36,9 +36,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control import lockstep
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.poses import Pose, compose, inverse
+import xtdrone_lockstep as lockstep
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.poses import Pose, compose, inverse
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.scene_topics import ModelTopics
 from xtdrone_sim.physics.contacts.start_collisions import StartError, check_height
@@ -47,9 +47,9 @@ from xtdrone_sim.robots.boat_dynamics import Boat
 from xtdrone_sim.robots.wheel_drives import Drive, drive_of
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.link_topics import PERIOD_US
-from xtdrone_sim.worlds.robots.list_of_robots import Robot
-from xtdrone_sim.worlds.robots.robot_model import LINK, BoatModel
-from xtdrone_sim.worlds.robots.robot_urdf import urdf_of, wheel_frames
+from xtdrone_worlds.worlds.robots.list_of_robots import Robot
+from xtdrone_worlds.worlds.robots.robot_model import LINK, BoatModel
+from xtdrone_worlds.worlds.robots.robot_urdf import urdf_of, wheel_frames
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 _TOLERANCE = 0.01  # m of overlap at the start

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xtdrone_control.poses import Pose, conjugate
-from xtdrone_control.rotation import Vector, from_euler, multiply, yaw_of
-from xtdrone_control.settings import SettingError
+from xtdrone_common.poses import Pose, conjugate
+from xtdrone_common.rotation import Vector, from_euler, multiply, yaw_of
+from xtdrone_common.settings import SettingError
 from xtdrone_sim.rays.solid_ground import SolidGround
 from xtdrone_sim.robots.boat_dynamics import Boat
 from xtdrone_sim.robots.wheels_on_uneven_ground import (
@@ -29,8 +29,8 @@ from xtdrone_sim.robots.wheels_on_uneven_ground import (
     places,
     stand_on,
 )
-from xtdrone_sim.worlds.robots.robot_model import AnyRobot, BoatModel, RobotModel
-from xtdrone_sim.worlds.robots.robot_settings import AckermannLimits, DifferentialLimits, DriveLimits, JointMotion
+from xtdrone_worlds.worlds.robots.robot_model import AnyRobot, BoatModel, RobotModel
+from xtdrone_worlds.worlds.robots.robot_settings import AckermannLimits, DifferentialLimits, DriveLimits, JointMotion
 
 _NEVER = -1
 _CASTORS = 0.4  # of the body's length, before and behind its middle

@@ -1,7 +1,7 @@
 """The digest file: checksums of all messages of participants and of the vehicles' states, once per simulated second.
 
 JSON lines with ``name`` (the participant), ``time`` (simulated microseconds) and ``topics``: by topic, the number of
-messages, of bytes, and the checksum since the start, see ``xtdrone_control.lockstep.protocol.Digest``. Two flights are
+messages, of bytes, and the checksum since the start, see ``xtdrone_lockstep.protocol.Digest``. Two flights are
 identical if their lines of equal name and time are. The simulator's own lines include the topic ``truth``: the state of
 all vehicles at every tick.
 """
@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
-from xtdrone_control.lockstep.protocol import DIGEST_PERIOD_US, Digest
+from xtdrone_lockstep.protocol import DIGEST_PERIOD_US, Digest
 
 TRUTH = "truth"
 

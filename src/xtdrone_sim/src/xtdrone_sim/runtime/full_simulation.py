@@ -13,7 +13,8 @@ import rospy
 import yaml
 from gazebo_msgs.msg import ModelStates
 
-from xtdrone_control.fleet import (
+from xtdrone_autopilot.mavlink.mavlink_server import MavlinkServer
+from xtdrone_common.fleet import (
     MAX_VEHICLES,
     XTDRONE,
     StartPose,
@@ -24,10 +25,9 @@ from xtdrone_control.fleet import (
     parse_fleet,
     with_poses,
 )
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.mavlink.mavlink_server import MavlinkServer
-from xtdrone_control.rotation import Vector
-from xtdrone_control.settings import setting
+from xtdrone_common.rotation import Vector
+from xtdrone_common.settings import setting
+from xtdrone_lockstep.server import LockstepServer
 from xtdrone_sim.autopilots.builtin_autopilot import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.autopilots.datagrams import Datagrams
 from xtdrone_sim.autopilots.px4_hil_fleet import Hil
@@ -48,8 +48,8 @@ from xtdrone_sim.topics.fleet_changes import FleetTopic
 from xtdrone_sim.topics.imu_topics import ImuTopics
 from xtdrone_sim.topics.link_topics import LinkTopics
 from xtdrone_sim.topics.model_states import ModelStatesMessage
-from xtdrone_sim.worlds.catalogue import find_world
-from xtdrone_sim.worlds.robots.list_of_robots import Robot, parse_robots
+from xtdrone_worlds.worlds.catalogue import find_world
+from xtdrone_worlds.worlds.robots.list_of_robots import Robot, parse_robots
 
 
 @dataclass(frozen=True, kw_only=True)

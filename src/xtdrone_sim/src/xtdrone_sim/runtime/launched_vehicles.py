@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.fleet import SPAWNED, XTDRONE, FleetError, Vehicle, spawned_fleet, unused_ports, with_ports
-from xtdrone_control.mavros.link.autopilot_links import AutopilotLinkError, FcuUrl, parse_fcu_url
-from xtdrone_sim.data_files import data_path
-from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.worlds.catalogue import UPSTREAM, is_generated
+from xtdrone_common.fleet import SPAWNED, XTDRONE, FleetError, Vehicle, spawned_fleet, unused_ports, with_ports
+from xtdrone_mavros.link.autopilot_links import AutopilotLinkError, FcuUrl, parse_fcu_url
+from xtdrone_worlds.data_files import data_path
+from xtdrone_worlds.descriptions import ModelError
+from xtdrone_worlds.worlds.catalogue import UPSTREAM, is_generated
 
 LAUNCHED_MAVROS = "/xtdrone/launched_mavros"
 """Parameter with a key for each MAVROS node that was launched; the node has the same key as ``KEY``."""

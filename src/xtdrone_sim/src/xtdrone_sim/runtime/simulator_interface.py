@@ -7,9 +7,9 @@ from typing import Protocol
 
 from gazebo_msgs.msg import ModelStates
 
-from xtdrone_control.fleet import StartPose
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.rotation import Vector
+from xtdrone_common.fleet import StartPose
+from xtdrone_common.rotation import Vector
+from xtdrone_lockstep.server import LockstepServer
 from xtdrone_sim.mailbox import Mailbox
 
 Idle = Callable[[float], None]

@@ -22,11 +22,12 @@ import rospy
 from gazebo_msgs.msg import ModelStates
 from rosgraph_msgs.msg import Clock
 
-from xtdrone_control import kernel_cache, lockstep
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.programs.plain_node import init_plain_node, survive_full_disk
-from xtdrone_control.programs.under_roslaunch import announce, end_launch
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common import kernel_cache
+from xtdrone_common.programs.plain_node import init_plain_node, survive_full_disk
+from xtdrone_common.programs.under_roslaunch import announce, end_launch
+from xtdrone_common.settings import Settings, setting
+from xtdrone_lockstep.server import LockstepServer
 from xtdrone_sim.mailbox import Mailbox
 from xtdrone_sim.runtime.digest_file import DigestFile
 from xtdrone_sim.runtime.other_simulator import obstacle, ready_words, stale_uri

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.autopilot.state import (
+from xtdrone_autopilot.state import (
     FAILURE_GARBAGE,
     FAILURE_OFF,
     FAILURE_OK,

@@ -18,8 +18,8 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Pose, Twist, Vector3
 from nav_msgs.msg import Odometry
 
-from xtdrone_control import lockstep
-from xtdrone_control.poses import conjugate, rotate
+import xtdrone_lockstep as lockstep
+from xtdrone_common.poses import conjugate, rotate
 
 
 def topic(name: str) -> str:

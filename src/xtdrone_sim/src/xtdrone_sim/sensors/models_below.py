@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.poses import Pose, compose
-from xtdrone_control.rotation import rotate_all_inverse
+from xtdrone_common.poses import Pose, compose
+from xtdrone_common.rotation import rotate_all_inverse
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.casting import PLACE, THING

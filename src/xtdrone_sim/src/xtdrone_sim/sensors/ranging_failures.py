@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import rospy
 from xtdrone_msgs.srv import SetLidarFailure, SetLidarFailureRequest, SetLidarFailureResponse
 
-from xtdrone_control.settings import check_choice, check_range
+from xtdrone_common.settings import check_choice, check_range
 
 FAILURES = ("ok", "off", "frozen", "biased", "dropouts")
 MOST_BIAS = 100.0  # m

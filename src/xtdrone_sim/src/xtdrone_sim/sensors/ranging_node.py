@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from xtdrone_msgs.msg import SceneModels, SceneState
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.programs.node_command_line import ArgumentError
-from xtdrone_control.settings import Settings
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.programs.node_command_line import ArgumentError
+from xtdrone_common.settings import Settings
 from xtdrone_sim.rays.live_rays import LiveRays
 from xtdrone_sim.sensors.ranging_failures import FailureServices, RangingFailure
 from xtdrone_sim.sensors.sensor_nodes import Due, read_start, run

@@ -15,9 +15,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from xtdrone_control.autopilot.autopilot import Autopilot
-from xtdrone_control.geodesy import projection
-from xtdrone_control.rotation_kernels import multiply, rotate, rotate_inverse
+from xtdrone_autopilot.autopilot import Autopilot
+from xtdrone_common.geodesy import projection
+from xtdrone_common.rotation_kernels import multiply, rotate, rotate_inverse
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World

@@ -10,10 +10,10 @@ import rosgraph
 import rospy
 import yaml
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.programs.node_command_line import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_common.settings import Settings, setting
 
 _Declared = TypeVar("_Declared", bound=Settings)
 

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.rays.scene import ActorInScene, SceneAt
 from xtdrone_sim.vehicles.gimbals_and_landing_gears import Gimbals, LandingGears
 from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
-from xtdrone_sim.worlds.actors import Actors
-from xtdrone_sim.worlds.sdf import SdfActor
+from xtdrone_worlds.worlds.actors import Actors
+from xtdrone_worlds.worlds.sdf import SdfActor
 
 _MARGIN = 1.0  # m around a vehicle's collision box, within which all of its links are
 _PERSON = 1.0, 1.5  # m: height of a person's centre, and radius of a sphere around it that contains every posture

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from xtdrone_control.poses import OPTICAL_FRAME, Pose, compose, from_axis_angle
+from xtdrone_common.poses import OPTICAL_FRAME, Pose, compose, from_axis_angle
 from xtdrone_sim.vehicles.mounts.body_sensors import ImuMount, UwbMount
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
-from xtdrone_sim.worlds.urdf import FIXED
+from xtdrone_worlds.worlds.urdf import FIXED
 
 
 class Frame(NamedTuple):

@@ -13,15 +13,15 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet
-from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.descriptions import ModelError
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.programs.node_command_line import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_common.settings import Settings, setting
 from xtdrone_sim.tf.vehicle_frames import Frame, RobotFrames
 from xtdrone_sim.topics.fleet_changes import FleetChanges
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
+from xtdrone_worlds.descriptions import ModelError
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
 from xtdrone_msgs.msg import SceneState
 
-from xtdrone_control import lockstep
-from xtdrone_control.poses import Pose as VisualPose
-from xtdrone_control.rotation import yaw_of
-from xtdrone_sim.worlds.actors import Actors, ActorState
+import xtdrone_lockstep as lockstep
+from xtdrone_common.poses import Pose as VisualPose
+from xtdrone_common.rotation import yaw_of
+from xtdrone_worlds.worlds.actors import Actors, ActorState
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 

@@ -18,7 +18,7 @@ import rospy
 from gazebo_msgs.msg import ContactsState, ContactState
 from geometry_msgs.msg import Vector3, Wrench
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_sim.physics.contacts.bullet_contacts import GROUND, Contact
 from xtdrone_sim.simulation import Simulation
 

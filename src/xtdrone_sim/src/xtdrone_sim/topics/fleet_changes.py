@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 import rospy
 from std_msgs.msg import String
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import Vehicle, fleet_text, parse_fleet
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import Vehicle, fleet_text, parse_fleet
 
 TOPIC = "/xtdrone/vehicles"
 

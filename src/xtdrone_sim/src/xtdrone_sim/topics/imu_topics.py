@@ -28,10 +28,10 @@ from geometry_msgs.msg import Quaternion, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import Imu as ImuMessage
 
-from xtdrone_control import lockstep
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.rotation import multiply
-from xtdrone_control.rotation_kernels import rotate_inverse
+import xtdrone_lockstep as lockstep
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.rotation import multiply
+from xtdrone_common.rotation_kernels import rotate_inverse
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.mounts.body_sensors import ImuMount
 

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from xtdrone_msgs.msg import SceneState
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.link_poses import Links
 

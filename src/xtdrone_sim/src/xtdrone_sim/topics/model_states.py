@@ -20,10 +20,10 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from numpy.typing import NDArray
 
-from xtdrone_control import lockstep
-from xtdrone_control.frames import to_xyzw
+import xtdrone_lockstep as lockstep
+from xtdrone_common.frames import to_xyzw
 from xtdrone_sim.physics.vehicle_dynamics import rotate
-from xtdrone_sim.worlds.sdf import SdfModel
+from xtdrone_worlds.worlds.sdf import SdfModel
 
 
 class ModelStatesMessage:

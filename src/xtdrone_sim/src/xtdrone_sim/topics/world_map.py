@@ -15,11 +15,11 @@ import rospy
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 from numpy.typing import NDArray
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
-from xtdrone_control.settings import SettingError, Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import ArgumentError, check_no_arguments
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_sim.rays.scene import RayScene
-from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file
+from xtdrone_worlds.worlds.sdf import SdfWorld, load_world_file
 
 FREE, OCCUPIED = 0, 100
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.poses import Pose
+from xtdrone_common.poses import Pose
 from xtdrone_sim.lidars.scan_measurement import link_places
 from xtdrone_sim.rays.casting import between
 from xtdrone_sim.rays.scene import Layout, RayScene, SceneAt, cast

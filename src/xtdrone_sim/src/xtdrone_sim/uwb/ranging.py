@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import rotate_all_inverse
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import rotate_all_inverse
 from xtdrone_sim.vehicles.mounts.body_sensors import SIGHT_BIASED, SIGHT_NEEDED, UwbMount
 from xtdrone_sim.vehicles.mounts.fleet_sensor import Antenna
 

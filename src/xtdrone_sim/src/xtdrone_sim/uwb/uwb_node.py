@@ -28,10 +28,10 @@ import numpy as np
 import rospy
 from xtdrone_msgs.msg import RelativeRange, RelativeRanges, SceneState
 
-from xtdrone_control import lockstep
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.poses import Pose, compose
-from xtdrone_control.settings import Settings
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.poses import Pose, compose
+from xtdrone_common.settings import Settings
 from xtdrone_sim.rays.live_rays import scene_of
 from xtdrone_sim.rays.scene import SceneAt
 from xtdrone_sim.sensors.ranging_node import RangingNode, Station, run_ranging_node

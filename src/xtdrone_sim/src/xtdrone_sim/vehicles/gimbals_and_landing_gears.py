@@ -18,8 +18,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.rotation_kernels import conjugate_multiply, constrain, multiply, wrap_pi, yaw_of
+from xtdrone_autopilot.commander.commander import Commander
+from xtdrone_common.rotation_kernels import conjugate_multiply, constrain, multiply, wrap_pi, yaw_of
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.poses import Pose, compose
-from xtdrone_control.poses import rotate as rotate_by
-from xtdrone_control.rotation import Vector
-from xtdrone_control.rotation_kernels import exponential, multiply, rotate
+from xtdrone_common.poses import Pose, compose
+from xtdrone_common.poses import rotate as rotate_by
+from xtdrone_common.rotation import Vector
+from xtdrone_common.rotation_kernels import exponential, multiply, rotate
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import GimbalMount
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel

@@ -15,11 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.autopilot.control.control_allocator import RotorLayout
-from xtdrone_control.autopilot.state import MAX_ROTORS
-from xtdrone_sim.data_files import data_folders
-from xtdrone_sim.descriptions import ModelError, find, folders, read_description
-from xtdrone_sim.shapes.visual import Box, Collision, Visual
+from xtdrone_autopilot.control.control_allocator import RotorLayout
+from xtdrone_autopilot.state import MAX_ROTORS
 from xtdrone_sim.vehicles.mounts.body_sensors import ImuMount, UwbMount, read_imus, read_uwb
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import (
     CameraMount,
@@ -30,7 +27,10 @@ from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import (
     read_landing_gear,
 )
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount, read_lidars
-from xtdrone_sim.worlds.urdf import Description, Joint, Link, UrdfError, read_urdf
+from xtdrone_worlds.data_files import data_folders
+from xtdrone_worlds.descriptions import ModelError, find, folders, read_description
+from xtdrone_worlds.shapes.visual import Box, Collision, Visual
+from xtdrone_worlds.worlds.urdf import Description, Joint, Link, UrdfError, read_urdf
 
 MODEL = np.dtype(
     [

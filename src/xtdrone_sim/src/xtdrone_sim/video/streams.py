@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xtdrone_control.fleet import Vehicle
+from xtdrone_common.fleet import Vehicle
 from xtdrone_sim.cameras.cameras_of_fleet import Camera
 
 FIRST_COMPONENT = 100

@@ -20,11 +20,11 @@ import rospy
 from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import Image
 
-from xtdrone_control.fleet import Vehicle, parse_fleet
-from xtdrone_control.fleet.vehicle import GCS_REMOTE_PORT, check_instance, instance_port
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
-from xtdrone_control.programs.plain_node import init_plain_node
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.fleet import Vehicle, parse_fleet
+from xtdrone_common.fleet.vehicle import GCS_REMOTE_PORT, check_instance, instance_port
+from xtdrone_common.programs.node_command_line import ArgumentError, check_no_arguments
+from xtdrone_common.programs.plain_node import init_plain_node
+from xtdrone_common.settings import Settings, setting
 from xtdrone_sim.cameras.cameras_of_fleet import cameras_of
 from xtdrone_sim.video.camera_component import CameraComponent
 from xtdrone_sim.video.encoder import Encoder, EncoderError

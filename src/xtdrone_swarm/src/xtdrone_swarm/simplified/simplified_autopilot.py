@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from xtdrone_control import modes
+from xtdrone_common import modes
 from xtdrone_swarm.kernel import kernel
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY
 

@@ -35,16 +35,16 @@ import rospy
 from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
+from xtdrone_common.fleet import StartPose, Vehicle, fleet_text, parse_fleet, start_poses, with_poses
+from xtdrone_common.geodesy.projection import GRAVITY
+from xtdrone_common.programs.node_command_line import ArgumentError, check_multirotor, parse_count
+from xtdrone_common.rotation import Vector
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_control.communication.commands import CommandSettings
-from xtdrone_control.fleet import StartPose, Vehicle, fleet_text, parse_fleet, start_poses, with_poses
-from xtdrone_control.geodesy.projection import GRAVITY
-from xtdrone_control.lockstep.protocol import Schedule
-from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.programs.node_command_line import ArgumentError, check_multirotor, parse_count
-from xtdrone_control.rotation import Vector
-from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.patterns import origin_columns
+from xtdrone_lockstep.protocol import Schedule
+from xtdrone_lockstep.server import LockstepServer
 from xtdrone_sim.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_interface import HEAD_START, Idle, index_of
 from xtdrone_sim.runtime.simulator_node import NodeSettings, run_node

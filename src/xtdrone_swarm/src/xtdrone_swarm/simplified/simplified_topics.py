@@ -36,13 +36,14 @@ from mavros_msgs.msg import ExtendedState, PositionTarget, State
 from mavros_msgs.srv import CommandBool, CommandBoolResponse, CommandTOL, CommandTOLResponse, SetMode, SetModeResponse
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
-from xtdrone_control import lockstep, modes
-from xtdrone_control.autopilot.commander.offboard_setpoint import CommandStart
+import xtdrone_lockstep as lockstep
+from xtdrone_autopilot.commander.offboard_setpoint import CommandStart
+from xtdrone_common import modes
+from xtdrone_common.modes import ModeError, mode_name, mode_number
 from xtdrone_control.communication.commands import MultirotorCore
 from xtdrone_control.communication.multirotor import RosLog, subscribe_commands
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint, Vector
-from xtdrone_control.mavros.swarm_state_topic import FIELDS, TOPIC
-from xtdrone_control.modes import ModeError, mode_name, mode_number
+from xtdrone_mavros.swarm_state_topic import FIELDS, TOPIC
 from xtdrone_sim.mailbox import ClosedError, Mailbox
 from xtdrone_swarm.simplified.setpoints import SetpointError, Start, wanted
 from xtdrone_swarm.swarm_vehicles import HOLD, Vehicles

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xtdrone_common.modes import PX4_MODES
+from xtdrone_common.rotation import wrap_pi
 from xtdrone_control.communication.commands import HOVER_SPEED, HOVER_YAW_RATE, OWN_COMMANDS
-from xtdrone_control.modes import PX4_MODES
-from xtdrone_control.rotation import wrap_pi
 from xtdrone_coordination.patterns import PITCH, origin_columns
 from xtdrone_swarm.simplified import simplified_autopilot
 from xtdrone_swarm.simplified.kinematics import VEHICLE, advance, capture, set_at, set_many

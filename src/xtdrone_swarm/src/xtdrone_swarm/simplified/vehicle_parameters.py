@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_sim.descriptions import ModelError, read_description
+from xtdrone_worlds.descriptions import ModelError, read_description
 
 SECTION = "simplified"
 ORDERS = {"first-order": 1, "second-order": 2}

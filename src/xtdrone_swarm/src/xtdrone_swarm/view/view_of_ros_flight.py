@@ -34,16 +34,16 @@ from rosgraph_msgs.msg import Clock
 from rospy.client import load_command_line_node_params
 from std_msgs.msg import Float32MultiArray, Int32MultiArray
 
-from xtdrone_control import lockstep
-from xtdrone_control.programs.node_command_line import (
+import xtdrone_lockstep as lockstep
+from xtdrone_common.programs.node_command_line import (
     ArgumentError,
     check_multirotor,
     fleet_of,
     parse_count,
     run_program,
 )
-from xtdrone_control.programs.plain_node import init_plain_node
-from xtdrone_control.settings import check_range
+from xtdrone_common.programs.plain_node import init_plain_node
+from xtdrone_common.settings import check_range
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_swarm.view.film import FPS, FilmError, check_film, film
 from xtdrone_swarm.view.projection_and_zoom import Array

@@ -19,8 +19,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.settings import Settings, check_range, setting
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.settings import Settings, check_range, setting
 
 PERSON = 1.7  # m, height of a person
 _MOST_DIRECTIONS = 12

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from shapely.geometry import Polygon
 
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.fleet import FleetError, parse_fleet, spawn_grid
-from xtdrone_control.geodesy.projection import Datum
-from xtdrone_control.plans import qgc_plan
-from xtdrone_control.settings import Settings, setting
+from xtdrone_autopilot.navigator import plan
+from xtdrone_autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
+from xtdrone_autopilot.plans import qgc_plan
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.fleet import FleetError, parse_fleet, spawn_grid
+from xtdrone_common.geodesy.projection import Datum
+from xtdrone_common.settings import Settings, setting
 
 from .coverage_path import CoverageOptions, ImageFootprint, Point, Waypoint, cover, footprint, length, turns
 from .region import RegionError, divide, read_region

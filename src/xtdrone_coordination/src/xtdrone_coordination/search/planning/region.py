@@ -23,7 +23,7 @@ from scipy.optimize import brentq
 from shapely.geometry import Polygon
 from shapely.validation import explain_validity
 
-from xtdrone_control import files
+from xtdrone_common import files
 
 MAX_PIECES = 250
 _DIRECTIONS = 16  # of cuts, in addition to the sides of the smallest rectangle

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.cameras.pinhole import Pinhole
+from xtdrone_common.cameras.pinhole import Pinhole
 
 from ..coverage_map import shows
 from ..people.candidates import EXTRAPOLATION, Candidate

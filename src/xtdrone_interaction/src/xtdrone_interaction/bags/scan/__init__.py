@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.kernel_cache import compiler
+from xtdrone_common.kernel_cache import compiler
 
 CONNECTION = -1
 """Returned instead of a connection number: the record describes a connection."""

@@ -14,9 +14,9 @@ import rospy
 from foxglove import Parameter, StatusLevel
 from foxglove.websocket import Capability, ChannelView, Client, ClientChannel, ServerListener
 
-from xtdrone_control.programs.node_command_line import check_no_arguments
-from xtdrone_control.programs.plain_node import init_plain_node
-from xtdrone_control.settings import setting
+from xtdrone_common.programs.node_command_line import check_no_arguments
+from xtdrone_common.programs.plain_node import init_plain_node
+from xtdrone_common.settings import setting
 from xtdrone_interaction.bridges import bridge_settings
 from xtdrone_interaction.bridges.bridge_settings import BridgeSettings
 from xtdrone_interaction.bridges.foxglove.client_topics import ENCODINGS, ClientTopics

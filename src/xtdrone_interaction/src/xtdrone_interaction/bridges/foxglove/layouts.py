@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from xtdrone_control.fleet import Vehicle
+from xtdrone_common.fleet import Vehicle
 from xtdrone_interaction.recording.topics import SEARCH_EVENTS_TOPIC, SEARCH_PROGRESS_TOPIC
 from xtdrone_interaction.rviz.markers_node import TOPIC as MARKERS_TOPIC
 

@@ -16,9 +16,9 @@ from cyclonedds.core import DDSException
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 
-from xtdrone_control.programs.node_command_line import check_no_arguments
-from xtdrone_control.programs.plain_node import init_plain_node
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.programs.node_command_line import check_no_arguments
+from xtdrone_common.programs.plain_node import init_plain_node
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_interaction.bridges.bridge_graph import BridgeGraph
 from xtdrone_interaction.bridges.bridge_settings import publications_of
 from xtdrone_interaction.bridges.ros2.dds_participant import (

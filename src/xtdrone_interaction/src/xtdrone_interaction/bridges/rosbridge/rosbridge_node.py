@@ -11,9 +11,9 @@ from typing import Any
 import rosgraph
 import rospy
 
-from xtdrone_control.programs.node_command_line import check_no_arguments
-from xtdrone_control.programs.plain_node import init_plain_node
-from xtdrone_control.settings import setting
+from xtdrone_common.programs.node_command_line import check_no_arguments
+from xtdrone_common.programs.plain_node import init_plain_node
+from xtdrone_common.settings import setting
 from xtdrone_interaction.bridges import bridge_settings
 from xtdrone_interaction.bridges.bridge_settings import BridgeSettings
 from xtdrone_interaction.bridges.rosbridge.clients.session import Bridge

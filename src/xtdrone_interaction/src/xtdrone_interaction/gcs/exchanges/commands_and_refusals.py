@@ -12,7 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.geodesy import projection
+from xtdrone_common.geodesy import projection
 
 from ..vehicle_state import MODES, name_constant
 from .exchange import AUTOPILOT, Exchange, Heartbeat, RefusalError, fetch_message

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_autopilot.mavlink.wire.dialect import MESSAGE_ID
 
 SYSTEM, COMPONENT = 254, mavlink.MAV_COMP_ID_MISSIONPLANNER
 """MAVLink ids of this ground station; 255 is QGroundControl's system id, which may be connected too."""

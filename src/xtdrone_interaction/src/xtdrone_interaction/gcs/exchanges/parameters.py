@@ -15,17 +15,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.parameters import former_parameters
-from xtdrone_control.autopilot.parameters.dependent_parameters import in_order
-from xtdrone_control.autopilot.parameters.parameter_file import (
-    LIMITS,
-    REAL32,
-    ParameterFile,
-    Value,
-    as_float32,
-    checked,
-    shown,
-)
+from xtdrone_autopilot.parameters import former_parameters
+from xtdrone_autopilot.parameters.dependent_parameters import in_order
+from xtdrone_autopilot.parameters.parameter_file import LIMITS, REAL32, ParameterFile, Value, as_float32, checked, shown
 
 from .exchange import AUTOPILOT, Exchange, Heartbeat, Progress, RefusalError, ignore_progress
 

@@ -13,10 +13,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
-from xtdrone_control.mavlink.microservices import mission_items
-from xtdrone_control.plans.qgc_plan import Plan
+from xtdrone_autopilot.mavlink.microservices import mission_items
+from xtdrone_autopilot.navigator import plan
+from xtdrone_autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
+from xtdrone_autopilot.plans.qgc_plan import Plan
 
 from .exchange import (
     AUTOPILOT,

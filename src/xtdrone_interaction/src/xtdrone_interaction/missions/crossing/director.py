@@ -38,7 +38,7 @@ from geometry_msgs.msg import PoseStamped
 from mavros_msgs.msg import State
 from std_msgs.msg import Float32MultiArray, String
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_control.communication.commands import CommandRequest
 from xtdrone_control.communication.multirotor import MavrosServices
 from xtdrone_interaction.missions.crossing.state_machine import (

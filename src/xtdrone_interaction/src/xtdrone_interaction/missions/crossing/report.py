@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.missions.crossing.figures import figures, save_film
 from xtdrone_interaction.missions.crossing.metrics import make_report
 from xtdrone_interaction.missions.demo import planning_times

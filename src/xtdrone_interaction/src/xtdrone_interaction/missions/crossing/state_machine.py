@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 
 
 class Task(NamedTuple):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from xtdrone_control.settings import setting
+from xtdrone_common.settings import setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError, seed_setting
 from xtdrone_interaction.console import PatientConsole, run_reported
@@ -79,7 +79,7 @@ class ExploreSettings(DemoSettings):
         """The bounds x0, y0, x1, y1, m in map; by default those of the generated building."""
         if self.bounds is not None:
             return self.bounds
-        from xtdrone_sim.worlds.catalogue import load_world  # slow to import
+        from xtdrone_worlds.worlds.catalogue import load_world
 
         solids, _ = solids_of([model for model in load_world(self.world).models if model.name == "walls"])
         x = [solid.pose.position[0] for solid in solids] or [20.0, 20.0 + self.length]

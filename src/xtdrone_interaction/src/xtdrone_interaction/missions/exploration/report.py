@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.missions.demo import planning_times
 from xtdrone_interaction.missions.exploration.figures import draw_floor, draw_merged_map
 from xtdrone_interaction.missions.exploration.metrics import Array, Mask, make_report, visible_cells

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from xtdrone_control.fleet import parse_fleet, with_poses
-from xtdrone_control.settings import setting
+from xtdrone_common.fleet import parse_fleet, with_poses
+from xtdrone_common.settings import setting
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction import command_options
@@ -144,7 +144,7 @@ def settings_of(arguments: argparse.Namespace) -> FormationSettings:
         leader_class=command_options.leader_class(arguments.leader),
         world=command_options.world(arguments.world),
     )
-    config = command_options.repository() / "src" / "xtdrone_sim" / "config"
+    config = command_options.repository() / "src" / "xtdrone_worlds" / "config"
     command_options.one_of_files("vehicle type", settings.type, config / "vehicles")
     if settings.neighbours == "estimated" and not any(mount.bearing for mount in load_vehicle(settings.type).uwb):
         raise OptionError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from xtdrone_control.settings import setting
+from xtdrone_common.settings import setting
 
 CRITERIA = {
     "settling": "each pattern settles",

@@ -31,9 +31,9 @@ from geometry_msgs.msg import PoseStamped, Twist
 from mavros_msgs.msg import State
 from std_msgs.msg import Float32MultiArray, String
 
-from xtdrone_control import lockstep
-from xtdrone_control.rotation import yaw_of
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.rotation import yaw_of
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction.command_options import split_patterns, swarm_patterns
 from xtdrone_interaction.missions.director import RECORDER_LIMIT, FlightReporter
 from xtdrone_interaction.missions.formation.state_machine import FleetState, FormationMission, MissionError

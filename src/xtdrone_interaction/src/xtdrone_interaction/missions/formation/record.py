@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.files import replacing
+from xtdrone_common.files import replacing
 from xtdrone_interaction.bags.ros1bag import BagError
 from xtdrone_interaction.recording.distances import Array
 from xtdrone_interaction.recording.flight_from_bag import read_bag

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from xtdrone_control.programs.node_command_line import speed_setting
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.programs.node_command_line import speed_setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.command_options import (

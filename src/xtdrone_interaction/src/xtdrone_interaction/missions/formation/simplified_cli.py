@@ -7,8 +7,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from xtdrone_control.fleet import MAX_VEHICLES, parse_fleet
-from xtdrone_control.programs.user_classes import load_class, nothing_overridden
+from xtdrone_common.fleet import MAX_VEHICLES, parse_fleet
+from xtdrone_common.programs.user_classes import load_class, nothing_overridden
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.network import NetworkOptions
@@ -109,7 +109,7 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
         network=_network(arguments),
         compare_with=arguments.compare_with,
     )
-    config = command_options.repository() / "src" / "xtdrone_sim" / "config"
+    config = command_options.repository() / "src" / "xtdrone_worlds" / "config"
     command_options.one_of_files("vehicle type", settings.kind, config / "vehicles")
     if settings.model.endswith((".yaml", ".yml")):
         settings = replace(settings, model=str(Path(settings.model).resolve()))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from xtdrone_control.settings import setting
+from xtdrone_common.settings import setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import seed_setting
 from xtdrone_interaction.console import PatientConsole, run_reported

@@ -24,9 +24,9 @@ from apriltag_ros.msg import AprilTagDetectionArray
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
+from xtdrone_common.settings import Settings, setting
 from xtdrone_control.drone import Drone, DroneError
-from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.missions.director import FlightReporter
 
 PHASES = ("takeoff", "search", "landing", "on the platform")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.launching.supervised_launch import Flight, escape

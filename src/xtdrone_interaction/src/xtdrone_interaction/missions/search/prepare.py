@@ -15,22 +15,22 @@ import yaml
 from numpy.typing import NDArray
 from shapely.geometry import Point, Polygon
 
-from xtdrone_control.autopilot.navigator import plan as mission
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.files import load_yaml, read_text
-from xtdrone_control.fleet import Vehicle, parse_fleet, spawn_grid
-from xtdrone_control.geodesy.projection import Datum
-from xtdrone_control.plans import qgc_plan
-from xtdrone_control.settings import setting
+from xtdrone_autopilot.navigator import plan as mission
+from xtdrone_autopilot.plans import qgc_plan
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.files import load_yaml, read_text
+from xtdrone_common.fleet import Vehicle, parse_fleet, spawn_grid
+from xtdrone_common.geodesy.projection import Datum
+from xtdrone_common.settings import setting
 from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, write_plans
 from xtdrone_coordination.search.planning.region import parse_region, read_region, region_data
 from xtdrone_interaction.command_options import OptionError, repository, seed_setting, vehicles_setting
 from xtdrone_interaction.missions.demo import DemoSettings
 from xtdrone_interaction.recording.topics import natural_order
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds import people_meshes, scenery
-from xtdrone_sim.worlds.catalogue import load_world
-from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, write_world
+from xtdrone_worlds.worlds import people_meshes, scenery
+from xtdrone_worlds.worlds.catalogue import load_world
+from xtdrone_worlds.worlds.sdf import SdfWorld, load_world_file, write_world
 
 CAMERA = "cgo3_camera"  # the detector's camera
 WORLD, REGION, PIECES, PLANS = "search.world", "region.yaml", "pieces.yaml", "plans"  # in the results folder

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from xtdrone_control.settings import setting
+from xtdrone_common.settings import setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError
 from xtdrone_interaction.console import PatientConsole, run_reported

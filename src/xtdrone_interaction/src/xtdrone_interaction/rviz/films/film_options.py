@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction import command_options
 from xtdrone_interaction.command_options import OptionError, checked
 from xtdrone_interaction.rviz.view_configurations import SHIPPED

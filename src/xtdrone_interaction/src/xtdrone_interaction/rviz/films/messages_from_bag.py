@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import roslib.message
 
-from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
-from xtdrone_control.ros_codec import compile_class
+from xtdrone_common.fleet import FleetError, Vehicle, parse_fleet
 from xtdrone_interaction.bags.bag_kinds import large_batches
 from xtdrone_interaction.bags.ros1bag import BagError, BagFile
+from xtdrone_lockstep.ros_codec import compile_class
 
 _POSE = re.compile(r"/(?P<type>\w+)_(?P<index>\d+)/mavros/local_position/pose")
 

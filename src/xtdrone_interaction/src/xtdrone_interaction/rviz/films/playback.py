@@ -19,7 +19,6 @@ from typing import Any, Protocol
 
 import rosgraph
 
-from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_interaction import command_options
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.launching.supervised_launch import defer_signals
@@ -28,6 +27,7 @@ from xtdrone_interaction.rviz.films.messages_from_bag import Timed
 from xtdrone_interaction.rviz.films.view_nodes import NODES, Stage, StageError, node_environment
 from xtdrone_interaction.rviz.markers_node import SEARCH_EVENTS
 from xtdrone_interaction.rviz.view_configurations import Array
+from xtdrone_lockstep.server import LockstepServer
 
 Idle = Callable[[float], None]
 
@@ -105,8 +105,8 @@ def _serve(settings: FilmSettings, record: Record, work: Path, on_turn: Callable
     import roslib.message
     import rospy
 
-    from xtdrone_control import lockstep
-    from xtdrone_control.programs.plain_node import init_plain_node
+    import xtdrone_lockstep as lockstep
+    from xtdrone_common.programs.plain_node import init_plain_node
 
     init_plain_node("bag_player", disable_rostime=True, disable_signals=True)
     server = LockstepServer(hang_limit=_HANG_LIMIT, log=_log)

@@ -16,7 +16,7 @@ from typing import Any
 import rosgraph
 import roslib.packages
 
-from xtdrone_control.fleet import parse_fleet
+from xtdrone_common.fleet import parse_fleet
 from xtdrone_interaction.launching.process_tree import ProcessTree
 from xtdrone_interaction.launching.supervised_launch import DemoError, defer_signals
 from xtdrone_interaction.rviz.films.film_options import FilmSettings

@@ -15,7 +15,7 @@ from typing import Any
 import rospy
 from std_msgs.msg import String
 
-from xtdrone_control import lockstep
+import xtdrone_lockstep as lockstep
 from xtdrone_interaction.web.actions.action_notices import in_words
 from xtdrone_interaction.web.actions.held_time import Instant, hold, let_go
 from xtdrone_interaction.web.actions.recorded_actions import LET_GO, REFUSED, TOPIC

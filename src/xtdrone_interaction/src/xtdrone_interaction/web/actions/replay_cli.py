@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         os.environ["ROS_IP"] = "127.0.0.1"
     import rospy
 
-    from xtdrone_control.programs.plain_node import init_plain_node
+    from xtdrone_common.programs.plain_node import init_plain_node
     from xtdrone_interaction.web.actions.replay import NAME, replay
 
     init_plain_node(NAME, anonymous=True, disable_signals=True)

@@ -11,8 +11,8 @@ from std_srvs.srv import Empty, EmptyRequest, Trigger, TriggerRequest
 from xtdrone_msgs.msg import SimulationStatus
 from xtdrone_msgs.srv import ResetVehicle, ResetVehicleRequest, SetSpeed, SetSpeedRequest, Step, StepRequest
 
-from xtdrone_control.programs.node_command_line import LEAST_SPEED
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.programs.node_command_line import LEAST_SPEED
+from xtdrone_common.settings import Settings, setting
 from xtdrone_interaction.simulation_services import SimError, call
 from xtdrone_interaction.web.commands.vehicle_commands import chosen_vehicles
 from xtdrone_interaction.web.context import StationContext

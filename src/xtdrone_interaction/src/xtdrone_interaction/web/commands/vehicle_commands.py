@@ -11,8 +11,8 @@ from typing import Any
 import rospy
 from gazebo_msgs.srv import GetModelState, GetModelStateRequest
 
-from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.fleet import FleetError, Vehicle, parse_fleet
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_interaction.gcs import station
 from xtdrone_interaction.gcs.exchanges import commands_and_refusals
 from xtdrone_interaction.gcs.exchanges.commands_and_refusals import Target

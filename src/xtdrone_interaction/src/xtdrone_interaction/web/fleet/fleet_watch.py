@@ -12,7 +12,7 @@ import rospy
 from gazebo_msgs.msg import ModelStates
 from numpy.typing import NDArray
 
-from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_common.fleet import FleetError, parse_fleet
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_frame import CHANNEL, pack_fleet_frame
 from xtdrone_interaction.web.fleet.model_states_bytes import ModelRows, TruncatedError, read_model_states

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.fleet import Vehicle
+from xtdrone_common.fleet import Vehicle
 from xtdrone_interaction.web.fleet.model_states_bytes import COLUMNS, ModelRows
 
 _GROUND = "ground_plane"

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from xtdrone_control.poses import Pose, compose
+from xtdrone_common.poses import Pose, compose
 from xtdrone_interaction.web.server.methods import CallError
-from xtdrone_sim.shapes.triangles import triangles_of
-from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Visual
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
+from xtdrone_worlds.shapes.triangles import triangles_of
+from xtdrone_worlds.shapes.visual import Box, Cylinder, Geometry, Mesh, Visual
 
 _MOST_TRIANGLES = 200_000
 _TEXTURE_SIZE = 512  # px, the longer side

@@ -9,17 +9,17 @@ from typing import Any
 import rospy
 from xtdrone_msgs.msg import SceneModels
 
-from xtdrone_control.geodesy.projection import Datum
-from xtdrone_control.poses import Pose
+from xtdrone_common.geodesy.projection import Datum
+from xtdrone_common.poses import Pose
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch
 from xtdrone_interaction.web.fleet.shapes_for_page import ShapeStore, describe_vehicle
 from xtdrone_interaction.web.server.methods import CallError, Method, Params, needed
 from xtdrone_interaction.web.server.session import Session
-from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
-from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.sdf import SdfModel, SdfWorld, load_world_file, read_world
+from xtdrone_worlds.descriptions import ModelError
+from xtdrone_worlds.worlds import people_meshes
+from xtdrone_worlds.worlds.sdf import SdfModel, SdfWorld, load_world_file, read_world
 
 log = logging.getLogger("xtdrone.web")
 

@@ -21,14 +21,14 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.pose_matrices import pose_of
+from xtdrone_common.fleet import Vehicle
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.pose_matrices import pose_of
 from xtdrone_interaction.web.layers.layer_content import LayerError
-from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.tf.vehicle_frames import RobotFrames
 from xtdrone_sim.tf.vehicle_tf_node import transform
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_worlds.descriptions import ModelError
 
 MAP = "map"
 _SAME = ("", MAP, "world", "local_origin")

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.clouds import read_cloud, read_scan
+from xtdrone_common.clouds import read_cloud, read_scan
 
 MOST_POSES = 100_000  # of a path that is read
 MOST_CORNERS = 1000  # of a line that is sent

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import pose_of, quaternion_of, rotation_of, transform_points
+from xtdrone_common.pose_matrices import pose_of, quaternion_of, rotation_of, transform_points
 from xtdrone_interaction.web.layers.layer_content import Content, Grid, Line
 
 CHANNEL = 3

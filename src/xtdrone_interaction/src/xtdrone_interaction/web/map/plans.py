@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.geodesy.projection import Datum
-from xtdrone_control.plans import qgc_plan
-from xtdrone_control.plans.qgc_plan import Plan
-from xtdrone_control.settings import Settings, setting
+from xtdrone_autopilot.plans import qgc_plan
+from xtdrone_autopilot.plans.qgc_plan import Plan
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.geodesy.projection import Datum
+from xtdrone_common.settings import Settings, setting
 from xtdrone_coordination.search.planning.coverage_path import lane_outlines
 from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, to_plan
 from xtdrone_coordination.search.planning.region import parse_region

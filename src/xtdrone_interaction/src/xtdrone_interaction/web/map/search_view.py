@@ -11,8 +11,8 @@ import rospy
 from mavros_msgs.msg import WaypointList
 from std_msgs.msg import String
 
-from xtdrone_control.autopilot.navigator import plan
-from xtdrone_control.geodesy.projection import Datum
+from xtdrone_autopilot.navigator import plan
+from xtdrone_common.geodesy.projection import Datum
 from xtdrone_coordination.search.planning.region import RegionError, read_region, region_data
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.fleet.fleet_watch import FleetWatch

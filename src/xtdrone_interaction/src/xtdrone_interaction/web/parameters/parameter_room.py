@@ -12,8 +12,8 @@ import rosgraph
 from mavros_msgs.msg import ParamValue
 from mavros_msgs.srv import ParamPull, ParamPullRequest, ParamSet, ParamSetRequest
 
-from xtdrone_control.autopilot.parameters.metadata import parameter_definitions
-from xtdrone_control.autopilot.parameters.parameters import NAMES, Parameters
+from xtdrone_autopilot.parameters.metadata import parameter_definitions
+from xtdrone_autopilot.parameters.parameters import NAMES, Parameters
 from xtdrone_interaction import command_options
 from xtdrone_interaction.parameter_secrets import is_secret, without_secrets
 from xtdrone_interaction.simulation_services import SimError, call

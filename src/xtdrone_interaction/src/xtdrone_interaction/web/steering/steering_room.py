@@ -12,7 +12,7 @@ import rospy
 from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import String
 
-from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_common.fleet import FleetError, parse_fleet
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.keyboard.command_topics import PERIOD
 from xtdrone_interaction.keyboard.key_bindings import MAX_SPEED, MAX_TURN, Command, Message, digits

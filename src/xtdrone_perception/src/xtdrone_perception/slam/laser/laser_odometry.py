@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import pose_of, turned_about_z, yaw_of
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.pose_matrices import pose_of, turned_about_z, yaw_of
+from xtdrone_common.settings import Settings, setting
 from xtdrone_perception.slam.deskewing import ScanMotion, deskew
 from xtdrone_perception.slam.odometry_health import Estimate, weakest_share
 

@@ -21,9 +21,9 @@ import rospy
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan, PointCloud2
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import ReadScan, cloud_message, read_scan
-from xtdrone_control.settings import setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import ReadScan, cloud_message, read_scan
+from xtdrone_common.settings import setting
 from xtdrone_perception.slam.odometry_health import HealthLimits
 from xtdrone_perception.slam.odometry_node import Job, OdometryNode, OdometryOptions, OdometrySource
 

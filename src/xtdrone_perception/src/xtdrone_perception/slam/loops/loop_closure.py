@@ -13,8 +13,8 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from xtdrone_control.pose_matrices import inverse, transform_points
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.pose_matrices import inverse, transform_points
+from xtdrone_common.settings import Settings, setting
 
 from .pose_graph import Edge, optimise_graph
 

@@ -27,12 +27,12 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import read_cloud
-from xtdrone_control.lockstep.deferred_work import Deferred
-from xtdrone_control.pose_matrices import pose_of
-from xtdrone_control.pose_messages import stamped_pose, transform_message
-from xtdrone_control.settings import Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import read_cloud
+from xtdrone_common.pose_matrices import pose_of
+from xtdrone_common.pose_messages import stamped_pose, transform_message
+from xtdrone_common.settings import Settings, setting
+from xtdrone_lockstep.deferred_work import Deferred
 from xtdrone_perception.slam import odometry_messages as messages
 
 from .loop_closure import LoopClosure, LoopOptions

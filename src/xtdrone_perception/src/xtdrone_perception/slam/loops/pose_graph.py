@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix, csc_matrix, identity
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import pose_of_vector
+from xtdrone_common.pose_matrices import pose_of_vector
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.cameras.camera_pose import LINK_FROM_OPTICAL
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.pose_matrices import inverse, pose_of, turned_about_z
-from xtdrone_control.settings import SettingError, Settings, setting
+from xtdrone_common.cameras.camera_pose import LINK_FROM_OPTICAL
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.pose_matrices import inverse, pose_of, turned_about_z
+from xtdrone_common.settings import SettingError, Settings, setting
 
 Array = NDArray[np.float64]
 

@@ -34,9 +34,9 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from xtdrone_control import lockstep
-from xtdrone_control.pose_messages import pose_message, stamped_pose
-from xtdrone_control.settings import SettingError, Settings, setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.pose_messages import pose_message, stamped_pose
+from xtdrone_common.settings import SettingError, Settings, setting
 from xtdrone_control.vehicle_topics import VehicleReport
 from xtdrone_perception.slam.transfer.foreign_pose import (
     STATIC,

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.settings import Settings, setting
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import inverse, move_pose, pose_of, rotation_of
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.pose_matrices import inverse, move_pose, pose_of, rotation_of
+from xtdrone_common.settings import Settings, setting
 
 from .camera_model import BodyCamera
 

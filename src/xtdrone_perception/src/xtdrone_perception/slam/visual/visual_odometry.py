@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import angle_between, distance_between
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.pose_matrices import angle_between, distance_between
+from xtdrone_common.settings import Settings, setting
 from xtdrone_perception.slam.odometry_health import Estimate, weakest_share, without_registration
 
 from .camera_model import BodyCamera

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 
-from xtdrone_control import lockstep
-from xtdrone_control.clouds import depths_of
-from xtdrone_control.pose_matrices import pose_of
-from xtdrone_control.settings import setting
+import xtdrone_lockstep as lockstep
+from xtdrone_common.clouds import depths_of
+from xtdrone_common.pose_matrices import pose_of
+from xtdrone_common.settings import setting
 from xtdrone_perception.images import grey_of
 from xtdrone_perception.slam.odometry_health import HealthLimits
 from xtdrone_perception.slam.odometry_node import Job, OdometryNode, OdometryOptions, OdometrySource

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from xtdrone_control.pose_matrices import move_pose, rotation_of
+from xtdrone_common.pose_matrices import move_pose, rotation_of
 
 from .camera_model import BodyCamera
 from .pose_from_points import huber

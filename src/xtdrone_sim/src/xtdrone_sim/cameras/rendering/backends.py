@@ -16,7 +16,7 @@ from typing import Any
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
-from xtdrone_control.settings import check_choice
+from xtdrone_common.settings import check_choice
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, connect, pybullet, without_lines
 
 BACKENDS = ("auto", "egl", "tiny")

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.poses import Pose
-from xtdrone_sim.shapes.triangles import rotation_matrix
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.poses import Pose
+from xtdrone_worlds.shapes.triangles import rotation_matrix
 
 SPLIT = 2.0  # m; nearer surfaces are drawn in a separate image
 

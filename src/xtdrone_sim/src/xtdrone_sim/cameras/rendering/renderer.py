@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.poses import Pose
-from xtdrone_control.settings import check_range
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.poses import Pose
+from xtdrone_common.settings import check_range
 from xtdrone_sim.cameras.rendering.backends import BACKENDS, Backend, RendererError
 from xtdrone_sim.cameras.rendering.depth_ranges import Extents
 from xtdrone_sim.physics.quiet_pybullet import pybullet
-from xtdrone_sim.shapes.triangles import Triangles, joined, rotation_matrix, triangles_of, write_obj
-from xtdrone_sim.shapes.visual import Colour, Geometry, Visual
-from xtdrone_sim.worlds.sdf import Light
+from xtdrone_worlds.shapes.triangles import Triangles, joined, rotation_matrix, triangles_of, write_obj
+from xtdrone_worlds.shapes.visual import Colour, Geometry, Visual
+from xtdrone_worlds.worlds.sdf import Light
 
 __all__ = ["BACKENDS", "Light", "Picture", "Renderer", "RendererError"]
 

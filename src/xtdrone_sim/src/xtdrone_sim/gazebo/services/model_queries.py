@@ -10,13 +10,13 @@ from gazebo_msgs import srv
 from gazebo_msgs.msg import LinkState
 from std_msgs.msg import Header
 
-from xtdrone_control.poses import Pose
+from xtdrone_common.poses import Pose
 from xtdrone_sim.gazebo.models_by_name import Models
 from xtdrone_sim.gazebo.request_limits import RequestError, unknown
 from xtdrone_sim.gazebo.states import pose_message, relative_to, twist_message
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds.sdf import DEFAULT_INERTIAL
-from xtdrone_sim.worlds.urdf import Inertial
+from xtdrone_worlds.worlds.sdf import DEFAULT_INERTIAL
+from xtdrone_worlds.worlds.urdf import Inertial
 
 
 class Queries:

@@ -39,8 +39,8 @@ import rospy
 from gazebo_msgs import srv
 from gazebo_msgs.msg import LinkState, ModelState, ModelStates
 
-from xtdrone_control import lockstep
-from xtdrone_control.lockstep.server import LockstepServer
+import xtdrone_lockstep as lockstep
+from xtdrone_lockstep.server import LockstepServer
 from xtdrone_sim.gazebo.models_by_name import Change, Models
 from xtdrone_sim.gazebo.models_in_requests import model_of_sdf, model_of_urdf
 from xtdrone_sim.gazebo.request_limits import LONGEST_TEXT, RequestError
@@ -49,7 +49,7 @@ from xtdrone_sim.gazebo.services.model_queries import Queries
 from xtdrone_sim.gazebo.states import microseconds, read_pose, read_state, read_wrench
 from xtdrone_sim.mailbox import ClosedError, Mailbox
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.worlds.sdf import SdfModel
+from xtdrone_worlds.worlds.sdf import SdfModel
 
 _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 _HOLD_STEPS = 125  # s for which a model or disarmed vehicle is held where /gazebo/set_model_states has put it

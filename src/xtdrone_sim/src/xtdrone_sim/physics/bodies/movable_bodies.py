@@ -18,19 +18,19 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.poses import Pose, compose, inverse, rotate
-from xtdrone_control.rotation import Quaternion, Vector
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.poses import Pose, compose, inverse, rotate
+from xtdrone_common.rotation import Quaternion, Vector
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.bodies.obstacles import shape_array
 from xtdrone_sim.physics.contacts.contact_states import REST_SPEED, REST_STEPS
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
-from xtdrone_sim.shapes.visual import Geometry
-from xtdrone_sim.worlds.sdf import DEFAULT_INERTIAL, SdfModel
-from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
-from xtdrone_sim.worlds.sdf.models.rigid_links import MOST_SHAPES
-from xtdrone_sim.worlds.urdf import combine_masses
+from xtdrone_worlds.shapes.visual import Geometry
+from xtdrone_worlds.worlds.sdf import DEFAULT_INERTIAL, SdfModel
+from xtdrone_worlds.worlds.sdf.geometries.visuals_and_collisions import box_of
+from xtdrone_worlds.worlds.sdf.models.rigid_links import MOST_SHAPES
+from xtdrone_worlds.worlds.urdf import combine_masses
 
 _log = logging.getLogger("rosout.simulation")  # a child of ROS's logger, see ``xml_elements``
 

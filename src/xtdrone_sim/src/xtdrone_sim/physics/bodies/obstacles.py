@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.poses import Pose, compose
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.poses import Pose, compose
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
 from xtdrone_sim.physics.vehicle_dynamics import ABSENT, FREE, TOUCHING
-from xtdrone_sim.shapes.visual import Box, Cylinder, Geometry, Mesh, Sphere
-from xtdrone_sim.worlds.sdf import SdfModel
-from xtdrone_sim.worlds.sdf.geometries.visuals_and_collisions import box_of
+from xtdrone_worlds.shapes.visual import Box, Cylinder, Geometry, Mesh, Sphere
+from xtdrone_worlds.worlds.sdf import SdfModel
+from xtdrone_worlds.worlds.sdf.geometries.visuals_and_collisions import box_of
 
 _CELL = 8.0  # m, minimum side of a column
 _MOST_CELLS = 512  # along each axis

@@ -8,15 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import Vector, from_euler
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import Vector, from_euler
 from xtdrone_sim.physics.contacts.start_collisions import StartError
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.shapes.visual import Collision, Cylinder
-from xtdrone_sim.worlds import people_meshes
-from xtdrone_sim.worlds.actors import FASTEST, Actors, ActorState
-from xtdrone_sim.worlds.sdf import SdfActor, SdfLink, SdfModel
-from xtdrone_sim.worlds.urdf import Inertial
+from xtdrone_worlds.shapes.visual import Collision, Cylinder
+from xtdrone_worlds.worlds import people_meshes
+from xtdrone_worlds.worlds.actors import FASTEST, Actors, ActorState
+from xtdrone_worlds.worlds.sdf import SdfActor, SdfLink, SdfModel
+from xtdrone_worlds.worlds.urdf import Inertial
 
 RADIUS = 0.25
 """m: about half the breadth of shoulders."""

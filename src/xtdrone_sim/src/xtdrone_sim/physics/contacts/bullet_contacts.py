@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.frames import to_xyzw
+from xtdrone_common.frames import to_xyzw
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, pybullet
-from xtdrone_sim.worlds.sdf import SdfWorld
+from xtdrone_worlds.worlds.sdf import SdfWorld
 
 GROUND = -1
 """The ground, as the other body of a contact."""

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.fleet import StartPose
-from xtdrone_control.frames import to_xyzw
-from xtdrone_control.rotation import Quaternion, Vector, from_euler, rotate
+from xtdrone_common.fleet import StartPose
+from xtdrone_common.frames import to_xyzw
+from xtdrone_common.rotation import Quaternion, Vector, from_euler, rotate
 from xtdrone_sim.physics.bodies.obstacles import Obstacles
 from xtdrone_sim.physics.quiet_pybullet import BulletClient, connect, pybullet
 from xtdrone_sim.rays.solid_ground import SolidGround

@@ -54,7 +54,7 @@ from xtdrone_msgs.srv import (
     StepResponse,
 )
 
-from xtdrone_control.programs.node_command_line import LEAST_SPEED
+from xtdrone_common.programs.node_command_line import LEAST_SPEED
 from xtdrone_sim.mailbox import ClosedError, Mailbox
 from xtdrone_sim.runtime.requests.simulation_control import Control, ControlError, Reset, Status, StepRequest
 from xtdrone_sim.runtime.requests.standstills import Holder

@@ -10,9 +10,9 @@ from typing import Any
 import rospy
 from xtdrone_msgs.srv import AddVehicle, RemoveVehicle
 
-from xtdrone_control.programs.node_command_line import ArgumentError, check_no_arguments
-from xtdrone_control.programs.plain_node import init_plain_node
-from xtdrone_control.programs.under_roslaunch import announce
+from xtdrone_common.programs.node_command_line import ArgumentError, check_no_arguments
+from xtdrone_common.programs.plain_node import init_plain_node
+from xtdrone_common.programs.under_roslaunch import announce
 
 _PATIENCE = 60.0  # wall s to wait for the simulator
 _ADD, _REMOVE = "/simulator/add_vehicle", "/simulator/remove_vehicle"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from xtdrone_control.programs.node_command_line import LEAST_SPEED
+from xtdrone_common.programs.node_command_line import LEAST_SPEED
 
 _MAX_LAG = 0.2  # wall s; a simulation further behind does not catch up
 

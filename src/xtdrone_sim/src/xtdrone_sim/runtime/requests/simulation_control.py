@@ -17,7 +17,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
-from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_lockstep.server import LockstepServer
 from xtdrone_sim.mailbox import ClosedError
 from xtdrone_sim.runtime.requests.pacing import Pacer, SpeedMeter
 from xtdrone_sim.runtime.requests.standstills import HoldAnswer, Holder, Holds, SlowParticipants

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Thread
 
-from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_lockstep.server import LockstepServer
 
 LONGEST_HOLD = 5.0
 """Wall s after which a hold ends in any case."""

@@ -27,8 +27,8 @@ from xtdrone_msgs.srv import (
     SetWindResponse,
 )
 
-from xtdrone_control.fleet import StartPose, start_pose
-from xtdrone_control.lockstep.protocol import printable
+from xtdrone_common.fleet import StartPose, start_pose
+from xtdrone_lockstep.protocol import printable
 from xtdrone_sim.mailbox import ClosedError, Mailbox
 from xtdrone_sim.runtime.requests.simulation_control import Control, ControlError, WorldChange
 from xtdrone_sim.runtime.simulator_interface import SimulatorBackend

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from xtdrone_control.poses import Pose
-from xtdrone_control.rotation import from_euler
-from xtdrone_control.settings import Settings, setting
+from xtdrone_common.poses import Pose
+from xtdrone_common.rotation import from_euler
+from xtdrone_common.settings import Settings, setting
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError, check_sensor_name
 
 

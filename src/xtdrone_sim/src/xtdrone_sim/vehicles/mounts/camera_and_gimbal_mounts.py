@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from xtdrone_control.cameras import Equidistant, Lens, PlumbBob, drawing_of
-from xtdrone_control.cameras.pinhole import Pinhole
-from xtdrone_control.poses import Pose, compose
-from xtdrone_control.rotation import Quaternion, Vector, from_euler, multiply
-from xtdrone_control.settings import check_choice, check_range
-from xtdrone_sim.worlds.urdf import FIXED, Description, Joint, UrdfError
+from xtdrone_common.cameras import Equidistant, Lens, PlumbBob, drawing_of
+from xtdrone_common.cameras.pinhole import Pinhole
+from xtdrone_common.poses import Pose, compose
+from xtdrone_common.rotation import Quaternion, Vector, from_euler, multiply
+from xtdrone_common.settings import check_choice, check_range
+from xtdrone_worlds.worlds.urdf import FIXED, Description, Joint, UrdfError
 
 _CAMERA = {"name", "link", "width", "height", "hfov", "rate", "near", "far", "frame_id", "kind", "position", "rpy"}
 _PICTURE = {"image_noise", "seed", "distortion", "distortion_model", "exposure", "exposure_pictures"}

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic
 
-from xtdrone_control.fleet import Vehicle
+from xtdrone_common.fleet import Vehicle
 from xtdrone_sim.vehicles.mounts.body_sensors import Mount, UwbMount
 from xtdrone_sim.vehicles.mounts.lidar_mounts import LidarMount
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle

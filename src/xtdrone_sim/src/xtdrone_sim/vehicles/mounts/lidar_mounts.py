@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.settings import SettingError, setting
+from xtdrone_common.settings import SettingError, setting
 from xtdrone_sim.vehicles.mounts.body_sensors import LEAST_RATE, MOST_RATE, BodySensor, read_list
 from xtdrone_sim.vehicles.mounts.camera_and_gimbal_mounts import MountError, check_sensor_name
-from xtdrone_sim.worlds.urdf import Description
+from xtdrone_worlds.worlds.urdf import Description
 
 KINDS = ("scan", "spinning", "pattern")
 ROSETTE = "rosette"

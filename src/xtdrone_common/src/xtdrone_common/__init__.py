@@ -1,0 +1,1 @@
+"""What every package may use: settings, programs, fleet, frames, poses, cameras, geodesy, files, kernels."""

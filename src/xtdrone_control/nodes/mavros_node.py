@@ -1,9 +1,0 @@
-#!/usr/bin/env python3
-"""MAVROS's topics and services for every vehicle of the fleet, over MAVLink."""
-
-import sys
-
-from xtdrone_control.mavros.mavros_node import main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,1 +1,0 @@
-"""The node's side of the lockstep; ``xtdrone_control.lockstep`` exports its public names."""
