@@ -22,7 +22,7 @@ ALLOWED = {
     "xtdrone_mavros": _GROUND | {"xtdrone_lockstep", "xtdrone_autopilot"},
     "xtdrone_control": _GROUND | {"xtdrone_lockstep"},
     "xtdrone_sim": _GROUND | {"xtdrone_lockstep", "xtdrone_autopilot", "xtdrone_worlds"},
-    "xtdrone_coordination": _GRAPH,
+    "xtdrone_coordination": _GRAPH | {"xtdrone_autopilot"},  # plans of QGroundControl, checked as PX4 does
     "xtdrone_perception": _GRAPH,
     "xtdrone_planning": _GRAPH,
     "xtdrone_swarm": _GRAPH
@@ -32,8 +32,21 @@ ALLOWED["xtdrone_interaction"] = set(ALLOWED) | {"xtdrone_rviz"}
 """The packages that each package may import."""
 TOP_LEVEL = {"benchmarks", "validation", "training"}
 """Folders of programs that measure or check the packages: no package imports them."""
-RINGS: dict[str, set[str]] = {}
-"""Rooms of a package that may import each other, where one room per name would tell less than PX4's own names do."""
+RINGS: dict[str, set[str]] = {
+    # As in PX4, whose modules read each other's topics.
+    "xtdrone_autopilot": {
+        "autopilot", "commander", "estimator", "events", "flight_tasks", "logger", "navigator", "parameters",
+        "vehicle_view",
+    },
+    "xtdrone_mavros": {"lib", "uas"},
+    "xtdrone_sim": {
+        "air", "autopilots", "effects", "physics", "sensors", "simulation", "steps_in_free_flight", "topics",
+    },
+    "xtdrone_interaction": {
+        "bags", "command_options", "console", "launching", "metrics", "pictures", "recording", "report",
+    },
+}  # fmt: skip
+"""Rooms between which imports go in both directions, or that lie between such rooms; no other may."""
 
 
 def _name(path: Path, root: Path) -> str:

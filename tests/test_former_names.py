@@ -73,7 +73,8 @@ def test_a_user_of_the_former_names_gets_the_same_classes():
 
 
 def test_every_redirection_leads_to_a_module():
-    assert xtdrone_control and xtdrone_sim
+    assert xtdrone_control
+    assert xtdrone_sim
     finders = [finder for finder in sys.meta_path if type(finder).__name__ == "_Redirection"]
     assert {former.split(".")[0] for finder in finders for former in finder.moved} >= {
         "xtdrone_control",

@@ -1,7 +1,7 @@
 """Benchmark of the lockstep's barrier alone: ``python -m benchmarks.programs.barrier``.
 
 Takes the place of the simulator, without a world: starts a ROS master and a number of idle participants
-(``lockstep_idle`` of xtdrone_lockstep, in Python or C++) that are all due at every base step, and measures the wall time
+(``lockstep_idle`` of xtdrone_lockstep, in Python or C++) that are all due at every base step, and measures the time
 of each tick. Ends all processes that it has started.
 
 Exit status: 0 after a measurement, 1 after a failed one, 130 when interrupted.

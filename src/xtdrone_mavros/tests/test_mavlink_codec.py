@@ -12,15 +12,13 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_autopilot.mavlink.wire import codec
 from xtdrone_common import modes
+from xtdrone_common.fleet.fcu_url import AutopilotLinkError, FcuUrl, parse_fcu_url
 from xtdrone_common.modes import PX4_MODES
 from xtdrone_mavros.lib.plugin_settings import ParamError, Params
 from xtdrone_mavros.link import autopilot_links
 from xtdrone_mavros.link.autopilot_links import (
     AutopilotLink,
-    AutopilotLinkError,
     AutopilotReceiver,
-    FcuUrl,
-    parse_fcu_url,
 )
 from xtdrone_mavros.link.command_acks import AwaitedCommands
 from xtdrone_mavros.link.stream_requests import DEFAULT_RATE_US, OFF_US, StreamRequests

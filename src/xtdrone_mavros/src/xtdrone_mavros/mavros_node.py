@@ -38,6 +38,7 @@ from xtdrone_msgs.srv import GetReadiness, GetReadinessResponse
 
 import xtdrone_lockstep as lockstep
 from xtdrone_common.fleet import XTDRONE, FleetError, Vehicle, check_instance, check_ports, parse_fleet
+from xtdrone_common.fleet.fcu_url import AutopilotLinkError, FcuUrl, parse_fcu_url
 from xtdrone_common.programs.node_command_line import check_no_arguments, run_program
 from xtdrone_common.programs.plain_node import wait_for_fleet
 from xtdrone_common.programs.under_roslaunch import announce
@@ -45,11 +46,8 @@ from xtdrone_mavros.feeds import Publisher
 from xtdrone_mavros.lib.plugin_settings import Params, PluginLists
 from xtdrone_mavros.link.autopilot_links import (
     AutopilotLink,
-    AutopilotLinkError,
     AutopilotReceiver,
-    FcuUrl,
     bind_host_for,
-    parse_fcu_url,
 )
 from xtdrone_mavros.plugins import PLUGINS
 from xtdrone_mavros.readiness import TelemetryDemand, TelemetryOf, readiness

@@ -12,19 +12,19 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import re
 import select
 import socket
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_native.mavlink_wire import receive, split
 
 from xtdrone_autopilot.mavlink.wire.codec import frame_error
+from xtdrone_common.fleet.fcu_url import AutopilotLinkError, FcuUrl
 from xtdrone_mavros.link.ros_values_to_mavlink import pack
 
 
@@ -49,54 +49,11 @@ log = logging.getLogger("rosout.mavros")
 
 _RECEIVE_BUFFER = 1 << 20  # bytes; one vehicle's telemetry in a tick is a few hundred
 _LARGEST_DATAGRAM = 65535
-_HIGHEST_PORT = 65535
 _PROBE_PORT = 9  # arbitrary address: nothing is sent to it
 _GLANCE_PERIOD = 0.05  # wall s between two reads by the receiver thread while nothing depends on it
 
 RAW = -1
 """Used in place of a message id to request every frame, undecoded."""
-
-
-class AutopilotLinkError(RuntimeError):
-    """A link cannot be opened: its address is malformed or already in use."""
-
-
-class FcuUrl(NamedTuple):
-    """The local and remote UDP addresses of a MAVROS ``fcu_url``."""
-
-    bind_host: str
-    bind_port: int
-    remote_host: str
-    remote_port: int
-
-    def shifted(self, number: int) -> FcuUrl:
-        """Return a copy with both ports raised by ``number``.
-
-        Raises:
-            AutopilotLinkError: a port would exceed 65535.
-        """
-        highest = max(self.bind_port, self.remote_port) + number
-        if highest > _HIGHEST_PORT:
-            raise AutopilotLinkError(f"fleet_url: vehicle {number} would get port {highest}, at most {_HIGHEST_PORT}")
-        return self._replace(bind_port=self.bind_port + number, remote_port=self.remote_port + number)
-
-
-def parse_fcu_url(url: str) -> FcuUrl:
-    """Parse ``udp://[bind_host][:bind_port]@[remote_host][:remote_port]``.
-
-    Missing parts default to MAVROS's values: bind 0.0.0.0:14555, remote 127.0.0.1:14550.
-
-    Raises:
-        AutopilotLinkError: another scheme or format, or a port outside 1..65535.
-    """
-    match = re.fullmatch(r"udp://([^:@/]*)(?::(\d+))?@([^:@/]*)(?::(\d+))?/?(?:\?ids=\d+,\d+)?", url)
-    if match is None:
-        raise AutopilotLinkError(f"fcu_url: {url!r} is not of the form udp://[host][:port]@[host][:port]")
-    parts = FcuUrl(match[1] or "0.0.0.0", int(match[2] or 14555), match[3] or "127.0.0.1", int(match[4] or 14550))
-    for port in (parts.bind_port, parts.remote_port):
-        if not 1 <= port <= _HIGHEST_PORT:
-            raise AutopilotLinkError(f"fcu_url: port {port} in {url!r} is not in 1..{_HIGHEST_PORT}")
-    return parts
 
 
 def bind_host_for(fcu_host: str, bind_host: str = "") -> str:

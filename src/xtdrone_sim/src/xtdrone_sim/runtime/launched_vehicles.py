@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_common.fleet import SPAWNED, XTDRONE, FleetError, Vehicle, spawned_fleet, unused_ports, with_ports
-from xtdrone_mavros.link.autopilot_links import AutopilotLinkError, FcuUrl, parse_fcu_url
+from xtdrone_common.fleet.fcu_url import AutopilotLinkError, FcuUrl, parse_fcu_url
 from xtdrone_worlds.data_files import data_path
 from xtdrone_worlds.descriptions import ModelError
 from xtdrone_worlds.worlds.catalogue import UPSTREAM, is_generated
