@@ -14,17 +14,22 @@ PACKAGES = {
     "benchmarks": 4_000,
     "scripts": 400,
     "training": 2_600,
-    "validation": 3_200,
-    "xtdrone_control": 31_000,
-    "xtdrone_coordination": 6_000,
-    "xtdrone_interaction": 28_000,
-    "xtdrone_perception": 5_500,
-    "xtdrone_planning": 8_500,
-    "xtdrone_sim": 19_000,
-    "xtdrone_swarm": 3_700,
+    "validation": 2_500,
+    "xtdrone_common": 3_000,
+    "xtdrone_lockstep": 4_200,
+    "xtdrone_autopilot": 15_000,
+    "xtdrone_mavros": 7_200,
+    "xtdrone_control": 2_500,
+    "xtdrone_worlds": 5_500,
+    "xtdrone_sim": 13_500,
+    "xtdrone_coordination": 5_800,
+    "xtdrone_interaction": 27_000,
+    "xtdrone_perception": 5_000,
+    "xtdrone_planning": 7_800,
+    "xtdrone_swarm": 3_600,
 }
-ALL = 107_500
-SMALL_MODULES = 165
+ALL = 103_900
+SMALL_MODULES = 60
 
 
 @pytest.fixture(scope="module")

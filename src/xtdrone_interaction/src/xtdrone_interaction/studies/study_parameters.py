@@ -94,6 +94,7 @@ class Parameter:
         if not isinstance(value, self.kind) or value == "" or value != value:
             allowed = {bool: "true or false", str: "a text"}.get(self.kind, "a number")
             raise SettingError(self.name, value, allowed)
+        assert isinstance(value, bool | int | float | str)
         return value
 
 

@@ -199,7 +199,9 @@ def _light(element: Element, light: Light) -> Light:
         for tag in ("ambient", "background"):
             colour = scene.one(tag)
             if colour is not None:
-                light = replace(light, **{tag: colour.numbers((3, 4), 0.0, 1.0)[:3]})
+                red, green, blue, *_ = colour.numbers((3, 4), 0.0, 1.0)
+                rgb = (red, green, blue)
+                light = replace(light, ambient=rgb) if tag == "ambient" else replace(light, background=rgb)
         light = replace(light, shadows=scene.boolean_of("shadows", light.shadows))
     suns = []
     for sun in element.all("light"):
