@@ -41,7 +41,7 @@ YAW = 0b101111111000  # position and yaw
 
 PROGRAMS = {
     "simulator": ("xtdrone_sim/nodes/simulator.py",),
-    "mavros": ("xtdrone_control/nodes/mavros_node.py",),
+    "mavros": ("xtdrone_mavros/nodes/mavros_node.py",),
     "communication": ("xtdrone_control/nodes/multirotor_communication.py", "iris", "0"),
     "leader": ("xtdrone_coordination/nodes/leader.py", "iris", "6"),
     "follower": ("xtdrone_coordination/nodes/follower.py", "iris", "1", "6"),

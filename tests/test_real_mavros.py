@@ -22,7 +22,7 @@ from roslaunch.xmlloader import XmlLoader
 from xtdrone_msgs.srv import GetStatus
 
 HEIGHT = 1.5  # m
-MAVROS = REPOSITORY / "src/xtdrone_control/nodes/mavros_node.py"
+MAVROS = REPOSITORY / "src/xtdrone_mavros/nodes/mavros_node.py"
 
 
 def load(file: str, *arguments: str) -> ROSLaunchConfig:

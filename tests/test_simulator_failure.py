@@ -43,7 +43,7 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
 def test_participants_of_a_simulator_that_fails_end_with_an_error(stack: Stack) -> None:
     import rosgraph
 
-    idle = shutil.which("lockstep_idle", path=str(REPOSITORY / "devel" / "lib" / "xtdrone_control"))
+    idle = shutil.which("lockstep_idle", path=str(REPOSITORY / "devel" / "lib" / "xtdrone_lockstep"))
     assert idle is not None, "the workspace is not built"
     settings = ("_participants:=/python,/cpp", f"_fleet:={FLEET}", "_speed:=0")
     simulator = stack.start("simulator", [sys.executable, "-c", SIMULATOR, *settings])
