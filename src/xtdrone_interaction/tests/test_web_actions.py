@@ -15,9 +15,8 @@ pytest.importorskip("rospy")
 from xtdrone_interaction import server_port
 from xtdrone_interaction.web import station_node
 from xtdrone_interaction.web.actions import operator_actions
-from xtdrone_interaction.web.actions.action_notices import in_words
 from xtdrone_interaction.web.actions.held_time import Instant
-from xtdrone_interaction.web.actions.operator_actions import OperatorActions
+from xtdrone_interaction.web.actions.operator_actions import OperatorActions, in_words
 from xtdrone_interaction.web.actions.recorded_actions import LET_GO, REFUSED, ActionError, parse_actions
 from xtdrone_interaction.web.context import StationContext
 from xtdrone_interaction.web.server.credentials import Credentials

@@ -16,7 +16,6 @@ import rospy
 from std_msgs.msg import String
 
 import xtdrone_lockstep as lockstep
-from xtdrone_interaction.web.actions.action_notices import in_words
 from xtdrone_interaction.web.actions.held_time import Instant, hold, let_go
 from xtdrone_interaction.web.actions.recorded_actions import LET_GO, REFUSED, TOPIC
 from xtdrone_interaction.web.context import StationContext
@@ -28,6 +27,9 @@ _KEPT_TEXT = 64 << 20  # characters of all of them
 _LONGEST_ACTION = (
     3.0  # s of wall time that an action may let simulated time stand still; the simulator ends a hold after 5 s
 )
+_SILENT = frozenset({"steering.send"})  # ten a second; pages that steer the same vehicle are told by their own event
+_MOST_NAMES = 4
+_LONGEST_NOTICE = 120  # characters
 _SHORT_STEP = 0.2  # s of wall time that an action waits for the end of a step, to take effect after it
 
 
@@ -127,3 +129,29 @@ class OperatorActions:
     def _tell_newcomer(self, _topic: str, _publish: Any, publish_to: Callable[[String], None]) -> None:
         for message in list(self._so_far):
             publish_to(message)
+
+
+def in_words(method: str, params: Mapping[str, Any]) -> str:
+    """Return the notice of an action, as ``takeoff: iris_0, iris_1``; empty for one of which the other pages get none.
+
+    Args:
+        method: name, as ``vehicles.command``.
+        params: as the page has sent them; they may be of any kind.
+    """
+    if method in _SILENT:
+        return ""
+    what = next((str(params[key]) for key in ("action", "text") if params.get(key)), method.replace(".", " "))
+    if what == "speed":
+        what = f"speed {params.get('factor')}"
+    whom = _names(params)
+    return f"{what}: {whom}"[:_LONGEST_NOTICE] if whom else what[:_LONGEST_NOTICE]
+
+
+def _names(params: Mapping[str, Any]) -> str:
+    for key in ("vehicles", "files"):
+        named = params.get(key)
+        if isinstance(named, (list, dict)) and named:
+            names = [str(name) for name in named]
+            more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+            return f"{', '.join(names[:_MOST_NAMES])}{more}"
+    return next((str(params[key]) for key in ("target", "vehicle", "topic", "name") if params.get(key)), "")

@@ -8,10 +8,12 @@ import os
 import secrets
 import stat
 from dataclasses import dataclass
+from typing import Literal
 
 from xtdrone_interaction.server_guard import is_loopback
-from xtdrone_interaction.web.server.roles import Role
 
+Role = Literal["view", "operate"]
+"""Roles of a page: watch only, or operate, which includes watching."""
 TOKEN_VARIABLE = "XTDRONE_WEB_TOKEN"
 TOKEN_ADVICE = (
     f"token: a token on a command line or the parameter server is not allowed, as others can read it there; put it "

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from xtdrone_interaction.web.server.roles import Role
+from xtdrone_interaction.web.server.credentials import Role
 from xtdrone_interaction.web.server.session import Session
 
 Params = Mapping[str, Any]

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from xtdrone_interaction.web.server.roles import Role
+from xtdrone_interaction.web.server.credentials import Role
 
 MOST_UNSENT = 4 << 20
 """Maximum bytes that wait for a page; beyond them, pushed data are dropped."""
