@@ -56,8 +56,9 @@ def test_no_import_of_a_package_with_kernels_is_missed():
 
 
 def test_every_kernel_of_the_autopilot_counts():
-    folder = Path(kernel_cache.__file__).parent
-    found = {path.name for path in kernel_cache.sources([folder])}
+    common = Path(kernel_cache.__file__).parent
+    autopilot = common.parents[2] / "xtdrone_autopilot" / "src" / "xtdrone_autopilot"
+    found = {path.name for path in kernel_cache.sources([common, autopilot])}
     assert {"ekf.py", "rotation.py", "projection.py", "state.py", "parameters.py"} <= found
     assert "commander.py" not in found
 
