@@ -348,7 +348,7 @@ def test_mavros_s_programs_command(stack: Stack, typed: Typed, monkeypatch: pyte
 @pytest.mark.usefixtures("unhurried")
 def test_mavros_s_programs_are_found_by_their_names(stack: Stack) -> None:
     """Each is run once, all at once; one addresses a MAVROS that does not exist."""
-    folder = REPOSITORY / "src/xtdrone_mavros"
+    folder = REPOSITORY / "src/xtdrone_mavros/mavros"
     lines = {
         "mavsys": "-n iris_0/mavros message_interval --id 32 --rate 0",
         "mavcmd": "-n /iris_0/mavros long 511 32 0 0 0 0 0 0",

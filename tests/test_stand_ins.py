@@ -8,7 +8,7 @@ from pathlib import Path
 
 from conftest import REPOSITORY
 
-OURS = {"mavros": str(REPOSITORY / "src/xtdrone_mavros")} | {
+OURS = {"mavros": str(REPOSITORY / "src/xtdrone_mavros/mavros")} | {
     name: str(REPOSITORY / "src/xtdrone_sim/stand_ins" / name)
     for name in ("px4", "gazebo_ros", "mavlink_sitl_gazebo", "media_export")
 }
