@@ -87,7 +87,7 @@ class _Draft:
         return least if self.short else self.rng.uniform(low, high)
 
     def harm(self, time: float, node: str, program: _Program, how: str) -> None:
-        """Suspend a node in flight, or end it by a signal and start it anew."""
+        """Suspend a node in flight, or end it by a signal and restart it in three cases of five."""
         if how == "STOP":
             self.at(time, "halt", node=node, wall=round(self.lasts(0.5, 0.5, 3.0), 2))
         else:
@@ -235,9 +235,13 @@ def _formation(draft: _Draft, kind: str) -> Episode:
         for before, speed in ((4.0, round(rng.uniform(0.0, 0.5), 2)), (1.0, 0.0)):
             topic = "/xtdrone/leader/cmd_vel_flu"
             draft.at(time - before, "say_velocity", topic=topic, velocity=[speed, 0.0, 0.0])
+    if draft.short:
+        started.pop()  # the leader: the script's words to it are to be heard
     for how in ("STOP", "TERM", "KILL") if draft.short else rng.sample(("STOP", "TERM", "KILL"), rng.randint(0, 2)):
-        victim = started.pop(rng.randrange(len(started)))  # each is harmed once
+        victim = rng.choice(started)
         draft.harm(rng.uniform(first + 4.0, time - 5.0), *victim, how)
+        if how != "STOP":
+            started.remove(victim)  # an ended node is not ended again
     draft.at(time, "land")
     draft.more_clients(5.0, time - 10.0, 2)
     return draft.episode(kind, time + 30.0)

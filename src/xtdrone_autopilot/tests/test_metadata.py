@@ -26,7 +26,7 @@ from xtdrone_common import modes
 
 # a module's file, not the package's: in a catkin workspace the package's is a stub in the devel space
 _PACKAGE = Path(events.__file__).parents[1]
-_SOURCES = list(_PACKAGE.rglob("*.py"))
+_SOURCES = [path for path in _PACKAGE.rglob("*.py") if "plans" not in path.parts]
 _EVENT_NAME = re.compile(
     r"(commander|check|failsafe|rtl|logger|navigator_(rtl|takeoff|reposition|mis|mission)|mavlink_mission|mc_pos_ctrl|ekf2|"
     r"col_prev)_[a-z0-9_]+|"

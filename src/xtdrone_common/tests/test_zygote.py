@@ -39,7 +39,7 @@ seen = {{
     "leads": os.getsid(0) == os.getpid() == os.getpgid(0),
     "main": [__name__, __file__, sys.modules["__main__"].__file__, math.pi],
     "mappings": rospy.names._mappings.get("chatter"),
-    "path": [folder for folder in sys.path if not folder.endswith("/src/xtdrone_control/src")],  # of catkin's relays
+    "path": [folder for folder in sys.path if "/src/xtdrone_" not in folder],  # of catkin's relays
     "signals": [str(signal.getsignal(n)) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGPIPE)],
     "blocked": sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ())),
     "stdin": os.readlink("/proc/self/fd/0"),

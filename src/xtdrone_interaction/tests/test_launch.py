@@ -362,5 +362,5 @@ WITHOUT_PAGE = {
 
 def test_each_flight_has_its_page() -> None:
     files = sorted((command_options.repository() / "launch").glob("*.launch"))
-    without = {file.name for file in files if 'file="$(dirname)/web.launch"' not in file.read_text(encoding="utf-8")}
+    without = {file.name for file in files if '<arg name="web" default' not in file.read_text(encoding="utf-8")}
     assert without == set(WITHOUT_PAGE)

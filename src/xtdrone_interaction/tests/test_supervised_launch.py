@@ -35,7 +35,7 @@ def made(folder: Path) -> supervised_launch.Watch:
     feed = SimpleNamespace(take=lambda _: [], lost=False)
     display = SimpleNamespace(note=lambda _: None, standstill=lambda _: None)
     return supervised_launch.Watch(
-        tree, SimpleNamespace(out=folder, arguments={}), feed, display, EndedNodes(folder / "roslaunch.log")
+        tree, SimpleNamespace(out=folder, arguments={}, vital=()), feed, display, EndedNodes(folder / "roslaunch.log")
     )
 
 
@@ -58,7 +58,7 @@ def test_a_flight_ends_when_a_required_node_is_dropped(
         f"[WARN] [17.5, 66.2]: simulator: participant /{node} was silent for 60.1 s (hang limit 60 s); dropped, ...\n"
     )
     (tmp_path / "roslaunch.log").write_text(line)
-    flight = SimpleNamespace(last_events=("done",), start_limit=60.0)
+    flight = SimpleNamespace(last_events=("done",), start_limit=60.0, vital=())
     watch = made(tmp_path)
     looks = iter(range(3))
     watch.running = lambda: next(looks, None) is not None  # type: ignore[method-assign]
