@@ -155,7 +155,7 @@ void startAhead(const char* modules) {
   const ssize_t length = readlink("/proc/self/exe", path.data(), path.size());
   if (length <= 0) return;
   path.resize(static_cast<size_t>(length));
-  const std::string interpreter = interpreterOf((path.substr(0, path.rfind('/') + 1) + "mavros_node.py").c_str());
+  const std::string interpreter = interpreterOf((path.substr(0, path.rfind('/') + 1) + "fleet_text.py").c_str());
   const int listener = interpreter.empty() ? -1 : socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
   if (listener < 0) return;
   sockaddr_un address;

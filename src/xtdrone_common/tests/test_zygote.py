@@ -149,12 +149,7 @@ class Launch:
 
 def interpreter() -> str:
     """Return the Python interpreter in the first line of the workspace's node scripts."""
-    return (
-        (Path(LAUNCHER).parents[1] / "xtdrone_mavros" / "mavros_node.py")
-        .read_text()
-        .partition("\n")[0]
-        .removeprefix("#!")
-    )
+    return (Path(LAUNCHER).parent / "fleet_text.py").read_text().partition("\n")[0].removeprefix("#!")
 
 
 @pytest.fixture
