@@ -14,8 +14,8 @@
 #include <ros/master.h>
 #include <ros/param.h>
 #include <std_msgs/Float64MultiArray.h>
-#include <xtdrone_lockstep/lockstep.h>
 #include <xtdrone_coordination/avoidance.h>
+#include <xtdrone_lockstep/lockstep.h>
 
 #include <iostream>
 #include <map>

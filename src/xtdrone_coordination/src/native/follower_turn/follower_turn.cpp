@@ -10,9 +10,9 @@
 namespace xtdrone_coordination::follower_turn {
 namespace {
 
+using xtdrone_control::VelocityCommands;
 using xtdrone_lockstep::Messages;
 using xtdrone_lockstep::Publication;
-using xtdrone_control::VelocityCommands;
 
 enum Received { PATTERN, TOPOLOGY, STATES, STATE, POSE, COMMAND, RECEIVED };
 constexpr std::size_t STATE_FIELDS = 6;

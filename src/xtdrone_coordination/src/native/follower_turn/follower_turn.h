@@ -8,10 +8,10 @@
 #include <string_view>
 #include <vector>
 
-#include "xtdrone_lockstep/turn_program.h"
 #include "xtdrone_control/velocity_commands.h"
 #include "xtdrone_coordination/avoidance.h"
 #include "xtdrone_coordination/consensus.h"
+#include "xtdrone_lockstep/turn_program.h"
 
 namespace xtdrone_coordination::follower_turn {
 

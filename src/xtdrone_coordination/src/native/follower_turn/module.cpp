@@ -18,8 +18,8 @@ namespace nb = nanobind;
 namespace xtdrone_coordination::follower_turn {
 namespace {
 
-using xtdrone_lockstep::TurnProgram;
 using xtdrone_control::VelocityCommands;
+using xtdrone_lockstep::TurnProgram;
 
 std::string toString(const nb::bytes& bytes) { return std::string(bytes.c_str(), bytes.size()); }
 
