@@ -36,7 +36,7 @@ except ImportError:
 NODE = shutil.which(
     "lockstep_test_node",
     path=os.pathsep.join(
-        f"{prefix}/lib/xtdrone_control" for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
+        f"{prefix}/lib/xtdrone_lockstep" for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
     ),
 )
 

@@ -195,7 +195,7 @@ def test_a_laser_scan_of_mavros_reaches_the_map(served):
 
 
 def test_the_map_is_sent_while_it_is_in_use(served):
-    telemetry = served.link.telemetry
+    telemetry = served.link.telemetry.navigation
     assert telemetry.obstacle_distance() is None
     served.ask(obstacles([5.0], 10.0))
     served.autopilot.control[0]["obstacles"]["active_us"] = 0

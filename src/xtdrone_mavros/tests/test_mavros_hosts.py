@@ -82,7 +82,7 @@ class _NoTelemetry:
     """Stand-in for a vehicle without telemetry."""
 
     def __getattr__(self, _name: str):
-        return lambda: None
+        return lambda *_: None
 
 
 def _port(host: str, port: int) -> Port:

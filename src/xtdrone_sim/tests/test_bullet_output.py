@@ -12,7 +12,7 @@ print("before")
 from xtdrone_common.fleet import StartPose
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.physics.world import World
-from xtdrone_sim.physics.world_environment import load_world
+from xtdrone_worlds.worlds.catalogue import load_world
 for _ in range(2):
     World(load_world("empty"), [load_vehicle("iris")], [StartPose(0.0, 0.0, 0.0)], 0.004).close()
 print("after")

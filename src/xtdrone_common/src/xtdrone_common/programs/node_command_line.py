@@ -196,7 +196,10 @@ def run_program(main: Callable[[Sequence[str]], int | None], arguments: Sequence
 
     arguments = rospy.myargv(list(arguments))[1:]
     if not rosgraph.is_master_online():
-        print(f"no ROS master at {rosgraph.get_master_uri()}: start roscore or a launch file first", file=sys.stderr)
+        print(
+            f"no ROS master answers at {rosgraph.get_master_uri()}: start roscore or a launch file first",
+            file=sys.stderr,
+        )
         return 1
     try:
         status = main(arguments)

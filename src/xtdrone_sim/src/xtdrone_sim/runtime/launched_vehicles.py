@@ -10,7 +10,7 @@ from typing import Any
 
 from xtdrone_common.fleet import SPAWNED, XTDRONE, FleetError, Vehicle, spawned_fleet, unused_ports, with_ports
 from xtdrone_common.fleet.fcu_url import AutopilotLinkError, FcuUrl, parse_fcu_url
-from xtdrone_worlds.data_files import data_path
+from xtdrone_worlds.data_files import package_folder
 from xtdrone_worlds.descriptions import ModelError
 from xtdrone_worlds.worlds.catalogue import UPSTREAM, is_generated
 
@@ -18,7 +18,7 @@ LAUNCHED_MAVROS = "/xtdrone/launched_mavros"
 """Parameter with a key for each MAVROS node that was launched; the node has the same key as ``KEY``."""
 KEY = "launch_key"
 
-_WORLDS = data_path("stand_ins/mavlink_sitl_gazebo/worlds")
+_WORLDS = package_folder("xtdrone_sim") / "stand_ins" / "mavlink_sitl_gazebo" / "worlds"
 _WORLDS_VARIABLE = "GAZEBO_RESOURCE_PATH"  # environment: folders, separated by colons
 _WORLD_ENDINGS = (".world", ".sdf")
 
