@@ -81,8 +81,13 @@ def test_a_fleet_has_no_ports_beyond_the_highest():
 class _NoTelemetry:
     """Stand-in for a vehicle without telemetry."""
 
-    def __getattr__(self, _name: str):
-        return lambda *_: None
+    protocol = 0
+
+    def refresh(self) -> None:
+        """Read nothing."""
+
+    def source(self, _name: str):
+        return lambda: None
 
 
 def _port(host: str, port: int) -> Port:
